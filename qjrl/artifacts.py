@@ -1,0 +1,235 @@
+"""Files of a run: written atomically, read strictly, each directory with its provenance.
+
+Formats: ``.npz`` (named arrays), ``.json``, ``.jsonl`` (one record a line), a dataset directory (shards and
+``manifest.json``) and orbax checkpoints (read only here; the policy stage writes them). No pickle.
+"""
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+DATASET_FORMAT = 1
+DONE = "done.json"
+PROVENANCE = "provenance.json"
+MANIFEST = "manifest.json"
+
+
+class ArtifactError(ValueError):
+    """A file is missing, damaged, or belongs to something else. The message is the one line a user reads."""
+
+
+def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
+    """Writes named arrays as an uncompressed ``.npz``: the whole file or none of it."""
+    plain = {name: np.asarray(array) for name, array in arrays.items()}
+    objects = [name for name, array in plain.items() if array.dtype == object]
+    if objects:
+        raise ArtifactError(f"{path}: {', '.join(objects)} would need pickle; arrays must hold numbers or texts")
+    with _replacing(Path(path)) as file:
+        np.savez(file, allow_pickle=False, **plain)  # pyright: ignore[reportArgumentType]
+
+
+def write_json(path: str | Path, content: Any) -> None:
+    """Writes one JSON document, readable by people: the whole file or none of it."""
+    write_bytes(path, (json.dumps(_plain(content), indent=2) + "\n").encode())
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Writes any other file (a report, a picture): the whole file or none of it."""
+    with _replacing(Path(path)) as file:
+        file.write(content)
+
+
+def append_json_line(path: str | Path, record: Any) -> None:
+    """Appends one record to a ``.jsonl`` file; half a line left by a crash is cut off first."""
+    line = (json.dumps(_plain(record)) + "\n").encode()
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    with open(path, "a+b") as file:
+        end = file.seek(0, os.SEEK_END)
+        if end and _byte_at(file, end - 1) != b"\n":
+            file.seek(0)
+            file.truncate(file.read().rfind(b"\n") + 1)
+        file.write(line)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def append_shard(directory: str | Path, arrays: Mapping[str, Any], robot_hash: str, **about: Any) -> None:
+    """Adds rows to a dataset directory: the shard first, then the manifest that makes it count.
+
+    An interruption between the two leaves a shard that the manifest does not list; the next call overwrites it.
+
+    Args:
+        arrays: column name -> (rows, ...); the same columns in every shard.
+        about: what else the manifest says (`seed`, `settings`, ...); replaces what it said before.
+    """
+    directory = Path(directory)
+    manifest: dict[str, Any] = {"format": DATASET_FORMAT, "robot_hash": robot_hash, "shards": []}
+    if (directory / MANIFEST).exists():
+        manifest = read_manifest(directory, robot_hash)
+    name = f"shard-{len(manifest['shards']):05d}.npz"
+    write_arrays(directory / name, arrays)
+    rows = len(next(iter(arrays.values())))
+    shard = {"name": name, "rows": rows, "sha256": hash_of_file(directory / name)}
+    write_json(directory / MANIFEST, manifest | about | {"shards": [*manifest["shards"], shard]})
+
+
+def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[str, Any]:
+    """The manifest of a dataset directory, checked: format, and the robot when `robot_hash` is given."""
+    path = Path(directory) / MANIFEST
+    manifest = load(path)
+    if not isinstance(manifest, dict) or manifest.get("format") != DATASET_FORMAT:
+        found = manifest.get("format") if isinstance(manifest, dict) else None
+        raise ArtifactError(f"{path}: is not a dataset of format {DATASET_FORMAT} (found {found})")
+    if robot_hash is not None and manifest.get("robot_hash") != robot_hash:
+        raise ArtifactError(f"{path}: belongs to another robot ({manifest.get('robot_hash')}, expected {robot_hash})")
+    return manifest
+
+
+def load(path: str | Path, robot_hash: str | None = None) -> Any:
+    """Reads any artifact to host memory.
+
+    ``.npz`` -> dict of arrays; ``.json`` -> its content; ``.jsonl`` -> list of records; a dataset directory -> dict
+    of concatenated arrays; an orbax checkpoint -> nested dict of arrays; any other directory -> dict from file name
+    to loaded content, for the files this function knows.
+
+    Args:
+        robot_hash: of a dataset, refuse it if it belongs to another robot.
+    Raises:
+        ArtifactError: missing, truncated or foreign.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return _load_directory(path, robot_hash)
+    reader = _READERS.get(path.suffix)
+    if reader is None:
+        raise ArtifactError(f"{path}: unknown kind of file, known: {', '.join(_READERS)} and directories of these")
+    try:
+        return reader(path)
+    except FileNotFoundError as error:
+        raise ArtifactError(f"{path}: does not exist") from error
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason})") from error
+
+
+def hash_of(content: Any) -> str:
+    """Hexadecimal SHA-256 of the canonical JSON of `content`; key order and tuple or list make no difference."""
+    text = json.dumps(_plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def hash_of_file(path: str | Path) -> str:
+    """Hexadecimal SHA-256 of the bytes of one file."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def hash_of_directory(directory: str | Path) -> str:
+    """Hash of the names and bytes of all files below a directory, without its provenance and done-marker."""
+    root = Path(directory)
+    files = sorted(path for path in root.rglob("*") if path.is_file() and path not in (root / DONE, root / PROVENANCE))
+    return hash_of([(path.relative_to(root).as_posix(), hash_of_file(path)) for path in files])
+
+
+def mark_done(directory: str | Path, **about: Any) -> None:
+    """Writes the done-marker: from here on the directory is complete."""
+    write_json(Path(directory) / DONE, about | {"output_hash": hash_of_directory(directory)})
+
+
+def done_marker(directory: str | Path) -> dict[str, Any] | None:
+    """The content of the done-marker, None where there is none."""
+    path = Path(directory) / DONE
+    return load(path) if path.exists() else None
+
+
+def _load_directory(directory: Path, robot_hash: str | None) -> Any:
+    if (directory / MANIFEST).exists():
+        return _load_dataset(directory, robot_hash)
+    if (directory / "_CHECKPOINT_METADATA").exists():
+        return _load_checkpoint(directory)
+    entries = [entry for entry in sorted(directory.iterdir()) if entry.is_dir() or entry.suffix in _READERS]
+    return {entry.name: load(entry, robot_hash) for entry in entries if not entry.name.startswith(".")}
+
+
+def _load_dataset(directory: Path, robot_hash: str | None) -> dict[str, np.ndarray]:
+    manifest = read_manifest(directory, robot_hash)
+    shards = [_load_shard(directory, shard) for shard in manifest["shards"]]
+    if not shards:
+        return {}
+    if any(shard.keys() != shards[0].keys() for shard in shards):
+        raise ArtifactError(f"{directory}: the shards do not have the same columns")
+    return {name: np.concatenate([shard[name] for shard in shards]) for name in shards[0]}
+
+
+def _load_shard(directory: Path, entry: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    path = directory / entry["name"]
+    arrays = load(path)
+    rows = {len(array) for array in arrays.values()}
+    if rows != {entry["rows"]}:
+        raise ArtifactError(f"{path}: holds {sorted(rows)} rows, its manifest says {entry['rows']}")
+    if hash_of_file(path) != entry["sha256"]:
+        raise ArtifactError(f"{path}: its content is not what its manifest recorded (sha256 differs)")
+    return arrays
+
+
+def _load_checkpoint(directory: Path) -> Any:
+    import jax
+    import orbax.checkpoint as ocp
+
+    with ocp.PyTreeCheckpointer() as checkpointer:
+        restored = checkpointer.restore(directory.absolute())
+    return jax.tree.map(np.asarray, restored)
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _read_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _read_json_lines(path: Path) -> list[Any]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+_READERS: dict[str, Callable[[Path], Any]] = {".npz": _read_npz, ".json": _read_json, ".jsonl": _read_json_lines}
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[BinaryIO]:
+    """A temporary file beside `path` that takes its place, on disk for sure, if the block succeeds."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _byte_at(file: BinaryIO, position: int) -> bytes:
+    file.seek(position)
+    return file.read(1)
+
+
+def _plain(value: Any) -> Any:
+    """Dicts, lists, numbers and texts only: what JSON holds."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+        return [_plain(item) for item in value]
+    return value.as_posix() if isinstance(value, Path) else value

@@ -1,0 +1,233 @@
+"""Strict configuration: a plain mapping becomes a frozen dataclass, or one line says why it does not.
+
+The dataclass beside the code holds meaning, unit, range and default of every field; the YAML files hold values.
+Field types: int, float, str, bool, Path, dict (left as it is), Literal, tuple, nested dataclasses, ``X | None``,
+and ``Annotated[T, Range(...)]`` for bounds.
+"""
+
+import dataclasses
+import difflib
+import math
+import re
+import types
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
+
+import yaml
+
+
+class ConfigError(ValueError):
+    """A value of the configuration is not allowed. The message is the one line a user reads."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Bounds of a number, both included unless said otherwise: ``Annotated[float, Range(0, 1)]``."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: float = -math.inf
+    """Lower bound, itself excluded."""
+    below: float = math.inf
+    """Upper bound, itself excluded."""
+
+    def __contains__(self, number: float) -> bool:
+        return self.low <= number <= self.high and self.above < number < self.below
+
+    def __str__(self) -> str:
+        if math.isfinite(self.low) and math.isfinite(self.high):
+            return f"from {self.low:.12g} to {self.high:.12g}"
+        bounds = (("at least", self.low), ("above", self.above), ("at most", self.high), ("below", self.below))
+        return " and ".join(f"{word} {bound:.12g}" for word, bound in bounds if math.isfinite(bound))
+
+
+def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
+    """Builds the (frozen) dataclass `cls` from a plain mapping.
+
+    Args:
+        mapping: field name -> plain value, as YAML gives it; nested mappings for nested dataclasses.
+        where: dotted key of `mapping` in the whole configuration, for the error line.
+    Raises:
+        ConfigError: unknown or missing key, wrong type, value out of range, or a ValueError of `__post_init__`.
+    """
+    if not isinstance(mapping, Mapping):
+        _refuse(where, mapping, describe(cls))
+    kinds = get_type_hints(cls, include_extras=True)
+    fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # pyright: ignore[reportArgumentType]
+    for key in mapping:
+        if key not in fields:
+            raise unknown_key(_join(where, key), mapping[key], fields)
+    for name, field in fields.items():
+        if name not in mapping and field.default is field.default_factory is dataclasses.MISSING:
+            raise ConfigError(f"{_join(where, name)}: missing, allowed: {describe(kinds[name])}")
+    values = {name: _convert(mapping[name], kinds[name], _join(where, name)) for name in fields if name in mapping}
+    try:
+        return cls(**values)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}" if where else str(error)) from error
+
+
+def as_mapping(value: Any) -> Any:
+    """The inverse of `build`: nested dataclasses, tuples and paths as plain dicts, lists and strings."""
+    if dataclasses.is_dataclass(value):
+        return {field.name: as_mapping(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): as_mapping(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list)):
+        return [as_mapping(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """The mapping in one YAML file. Numbers such as ``1e-3`` are numbers here (plain PyYAML reads a text).
+
+    Raises:
+        ConfigError: the file is missing, is not YAML, or holds something else than a mapping.
+    """
+    try:
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a YAML file") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(content, dict):
+        raise ConfigError(f"{path}: holds {_show(content)}, expected a mapping of keys to values")
+    return content
+
+
+def conf_folder() -> Path:
+    """The folder of the shipped YAML files: inside an installed package, beside it in a checkout."""
+    package = Path(__file__).parent
+    return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def unknown_key(where: str, value: Any, known: Collection[Any]) -> ConfigError:
+    """The error for a key that does not exist: what does exist, and what was probably meant."""
+    names = known_names(where.rpartition(".")[2], known)
+    return ConfigError(f"{where}: got {_show(value)}, but there is no such key; {names}")
+
+
+def known_names(name: str, known: Collection[Any]) -> str:
+    """``did you mean 'sample'? known: compare, ik, sample``."""
+    names = [str(item) for item in known]
+    close = difflib.get_close_matches(name, names, n=1)
+    return (f"did you mean '{close[0]}'? " if close else "") + f"known: {', '.join(names) or 'none'}"
+
+
+def describe(kind: Any) -> str:
+    """What a field type allows, in words: ``a number from 0 to 1 or null``."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        bounds = [str(bound) for bound in arguments[1:] if isinstance(bound, Range)]
+        return " ".join([describe(arguments[0]), *bounds])
+    if origin is Literal:
+        return "one of " + ", ".join(str(choice) for choice in arguments)
+    if origin in (Union, types.UnionType):
+        return " or ".join(describe(option) for option in arguments)
+    if origin is tuple and arguments[-1] is Ellipsis:
+        return f"a list, each {describe(arguments[0])}"
+    if origin is tuple:
+        return f"a list of {len(arguments)}: {', '.join(describe(item) for item in arguments)}"
+    if dataclasses.is_dataclass(kind):
+        return f"a mapping with the keys {', '.join(field.name for field in dataclasses.fields(kind) if field.init)}"
+    return _WORDS.get(origin or kind, str(kind))
+
+
+_WORDS: dict[Any, str] = {
+    int: "an integer",
+    float: "a finite number",
+    str: "a text",
+    bool: "true or false",
+    Path: "a path",
+    dict: "a mapping",
+    types.NoneType: "null",
+}
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML 1.2 floats, so that files read by Hydra and files read here mean the same."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)([eE][-+]?\d+)$"),
+    list("-+.0123456789"),
+)
+
+
+def _convert(value: Any, kind: Any, where: str) -> Any:
+    """`value` as the type `kind`, or a ConfigError."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin is Annotated:
+        return _bounded(value, kind, where)
+    if origin in (Union, types.UnionType):
+        return _one_of(value, kind, where)
+    if origin is tuple:
+        return _tuple(value, kind, where)
+    if dataclasses.is_dataclass(kind):
+        return build(kind, value, where)  # pyright: ignore[reportArgumentType]
+    if origin is Literal and any(value == choice and type(value) is type(choice) for choice in arguments):
+        return value
+    kind = origin or kind
+    if kind is dict and isinstance(value, Mapping):
+        return dict(value)
+    if kind is float and type(value) in (int, float) and math.isfinite(value):
+        return float(value)
+    if kind is Path and isinstance(value, (str, Path)) and str(value):
+        return Path(value)
+    if kind in (int, str, bool, types.NoneType) and type(value) is kind:  # `type is`: a bool is not an int
+        return value
+    _refuse(where, value, describe(kind if origin is not Literal else Literal[arguments]))
+
+
+def _bounded(value: Any, kind: Any, where: str) -> Any:
+    inner, *bounds = get_args(kind)
+    try:
+        number = _convert(value, inner, where)
+    except ConfigError as error:
+        _refuse(where, value, describe(kind), error)
+    if number is not None and not all(number in bound for bound in bounds if isinstance(bound, Range)):
+        _refuse(where, value, describe(kind))
+    return number
+
+
+def _one_of(value: Any, kind: Any, where: str) -> Any:
+    """The first option of a union that takes the value; the error of the only structured option, if there is one."""
+    options = get_args(kind)
+    structured = [option for option in options if get_origin(option) is tuple or dataclasses.is_dataclass(option)]
+    for option in options:
+        try:
+            return _convert(value, option, where)
+        except ConfigError:
+            if [option] == structured and isinstance(value, (Mapping, list, tuple)):
+                raise
+    _refuse(where, value, describe(kind))
+
+
+def _tuple(value: Any, kind: Any, where: str) -> tuple[Any, ...]:
+    arguments = get_args(kind)
+    if not isinstance(value, (list, tuple)):
+        _refuse(where, value, describe(kind))
+    kinds = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else arguments
+    if len(kinds) != len(value):
+        _refuse(where, value, describe(kind))
+    pairs = enumerate(zip(value, kinds, strict=True))
+    return tuple(_convert(item, item_kind, f"{where}[{i}]") for i, (item, item_kind) in pairs)
+
+
+def _join(where: str, key: Any) -> str:
+    return f"{where}.{key}" if where else str(key)
+
+
+def _refuse(where: str, value: Any, allowed: str, cause: Exception | None = None) -> NoReturn:
+    raise ConfigError(f"{where or 'configuration'}: got {_show(value)}, allowed: {allowed}") from cause
+
+
+def _show(value: Any) -> str:
+    """The value as a user would recognise it, on one line, at most 80 characters."""
+    names = {None: "null", True: "true", False: "false"}
+    text = names[value] if value is None or isinstance(value, bool) else " ".join(repr(value).split())
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,186 @@
+"""The data flow on one page: which stages there are, what each reads and writes, and when one runs again.
+
+    sample ──> forward_model ──> ik ──> policy ──> compare
+
+A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
+``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
+"""
+
+import dataclasses
+import importlib
+import logging
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from qjrl import artifacts
+from qjrl.artifacts import ArtifactError
+from qjrl.config import ConfigError, as_mapping, build, known_names, unknown_key
+from qjrl.provenance import provenance
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """One step of the data flow; its module is imported when it is first needed."""
+
+    module: str
+    summary: str
+    """What it does, for ``qjrl --help``."""
+    reads: tuple[str, ...] = ()
+    """Names of the stages whose directories it reads."""
+    writes: str = ""
+    """Name of its directory under the run directory."""
+    default: bool = True
+    """Whether it runs when no stages are asked for."""
+
+    def load(self) -> ModuleType:
+        """The stage's module: `Config` and `run`."""
+        return importlib.import_module(self.module)
+
+
+STAGES: dict[str, Stage] = {
+    "sample": Stage(
+        "qjrl.stages.sample",
+        "settle cable commands in MuJoCo and write the data set",
+        writes="dataset",
+    ),
+    "forward_model": Stage(
+        "qjrl.stages.forward_model",
+        "fit cable lengths -> pose on the data set",
+        reads=("sample",),
+        writes="forward_model",
+    ),
+    "ik": Stage(
+        "qjrl.stages.ik",
+        "invert the model, settle every answer, write the target bank",
+        reads=("sample", "forward_model"),
+        writes="ik",
+    ),
+    "policy": Stage(
+        "qjrl.stages.policy",
+        "train the residual policy on the target bank with PPO",
+        reads=("forward_model", "ik"),
+        writes="policy",
+    ),
+    "compare": Stage(
+        "qjrl.stages.compare",
+        "measure every controller on the same targets, write the report",
+        reads=("sample", "forward_model", "ik", "policy"),
+        writes="compare",
+    ),
+    "describe": Stage(
+        "qjrl.stages.describe",
+        "say what an arm is: strokes, tensions, reach, a picture",
+        writes="describe",
+        default=False,
+    ),
+}
+
+RUN_KEYS = ("name", "stages")
+"""Top-level keys that belong to the run and to no stage."""
+
+
+def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None:
+    """Runs the stages asked for in the order of the data flow; what is done and unchanged is skipped.
+
+    Args:
+        names: stages to run.
+        configs: stage name -> its Config, from `build_configs`.
+        run_dir: where the stages' directories are or will be.
+    """
+    for name in in_order(names):
+        _run_stage(name, configs[name], run_dir)
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """The stages asked for, each once, in the order of the data flow."""
+    names = list(names)
+    for name in names:
+        if name not in STAGES:
+            raise ConfigError(f"stages: got '{name}', {known_names(name, STAGES)}")
+    return [name for name in STAGES if name in names]
+
+
+def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """Checks the whole configuration before any work: builds every stage's Config from the keys it names.
+
+    Args:
+        tree: the resolved configuration as plain dicts and lists.
+    Raises:
+        ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
+    """
+    kinds = {name: stage.load().Config for name, stage in STAGES.items()}
+    known = {field.name for kind in kinds.values() for field in dataclasses.fields(kind)} | set(RUN_KEYS)
+    for key in tree:
+        if key not in known:
+            raise unknown_key(key, tree[key], sorted(known))
+    configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
+    for config in configs.values():
+        _robot_hash(config)
+    return configs
+
+
+def _part(tree: Mapping[str, Any], kind: type) -> dict[str, Any]:
+    return {field.name: tree[field.name] for field in dataclasses.fields(kind) if field.name in tree}
+
+
+def _run_stage(name: str, config: Any, run_dir: Path) -> None:
+    stage, out = STAGES[name], run_dir / STAGES[name].writes
+    robot_hash = _robot_hash(config)
+    inputs = {source: run_dir / STAGES[source].writes for source in stage.reads}
+    identity = {
+        "config_hash": artifacts.hash_of(as_mapping(config)),
+        "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
+    }
+    if _same(out / artifacts.DONE, identity):
+        log.info("%s: done before and unchanged, skipped", name)
+        return
+    _make_room(name, out, identity)
+    record = provenance(as_mapping(config), getattr(config, "seed", None), robot_hash)
+    artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
+    stage.load().run(config, inputs, out)
+    artifacts.mark_done(out, **identity, robot_hash=robot_hash)
+
+
+def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:
+    """Identity of a finished input, or one line that says how to get it."""
+    marker = artifacts.done_marker(directory)
+    if marker is None:
+        state = "is not finished" if directory.exists() else "does not exist"
+        raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{source},{name}]")
+    if robot_hash is not None and marker.get("robot_hash") not in (None, robot_hash):
+        raise ArtifactError(f"{name}: {directory} belongs to another robot; run stages=[{source},{name}]")
+    return marker["output_hash"]
+
+
+def _make_room(name: str, out: Path, identity: Mapping[str, Any]) -> None:
+    """An interrupted run of the same identity goes on in its directory; anything else is moved out of the way."""
+    if not out.exists() or not any(out.iterdir()):
+        log.info("%s: starts", name)
+    elif _same(out / artifacts.PROVENANCE, identity) and not (out / artifacts.DONE).exists():
+        log.info("%s: was interrupted, goes on", name)
+    else:
+        previous = out.with_name(out.name + ".previous")
+        shutil.rmtree(previous, ignore_errors=True)
+        out.rename(previous)
+        log.info("%s: configuration or inputs changed, starts afresh (the old output is in %s)", name, previous.name)
+    out.mkdir(parents=True, exist_ok=True)
+
+
+def _same(record: Path, identity: Mapping[str, Any]) -> bool:
+    if not record.exists():
+        return False
+    content = artifacts.load(record)
+    return all(content.get(key) == value for key, value in identity.items())
+
+
+def _robot_hash(config: Any) -> str | None:
+    if not hasattr(config, "robot"):
+        return None
+    from qjrl.robot import robot_from_mapping, robot_hash
+
+    return robot_hash(robot_from_mapping(config.robot))
