@@ -1,0 +1,31 @@
+"""The pose as 9 numbers: position [m], then the first and the second column of the rotation."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qjrl.geometry.rotations import geodesic_angle, orthonormalise, safe_norm
+
+
+def pose_from_frame(position: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> Float[Array, "9"]:
+    """Pack a position [m] and a rotation matrix into a pose."""
+    return jnp.concatenate([position, rotation[:, 0], rotation[:, 1]])
+
+
+def position_of(pose: Float[Array, "9"]) -> Float[Array, "3"]:
+    """Position of a pose [m]."""
+    return pose[:3]
+
+
+def rotation_of(pose: Float[Array, "9"]) -> Float[Array, "3 3"]:
+    """Rotation matrix of a pose, its columns orthonormalised (exact for a true pose)."""
+    return orthonormalise(pose[3:].reshape(2, 3))
+
+
+def position_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[Array, ""]:
+    """Euclidean distance of two positions [m]."""
+    return safe_norm(pose[:3] - target[:3])
+
+
+def orientation_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[Array, ""]:
+    """Geodesic angle between two orientations [rad]."""
+    return geodesic_angle(rotation_of(pose), rotation_of(target))

@@ -1,0 +1,45 @@
+"""A robot from a shipped name, a YAML file or a plain mapping; the mapping's `kind` says which description reads it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from qjrl.artifacts import hash_of
+from qjrl.config import ConfigError, as_mapping, build, conf_folder, known_names, read_yaml
+from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
+
+# kind -> (what its YAML may hold, the pytree made of it)
+KINDS = {"quaternion_arm": (QuaternionArmConfig, arm_from_config)}
+
+
+def load_robot(name_or_path: str | Path) -> QuaternionArm:
+    """A robot by shipped name ("qj_2222") or by the path of a YAML file.
+
+    Raises:
+        ConfigError: no such robot, or a value in the file that is not allowed; one line.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = conf_folder() / "robot" / f"{name_or_path}.yaml"
+        if not path.is_file():
+            shipped = sorted(file.stem for file in path.parent.glob("*.yaml"))
+            raise ConfigError(f"robot: got {str(name_or_path)!r}, allowed: a .yaml path or {known_names(str(name_or_path), shipped)}")
+    return robot_from_mapping(read_yaml(path))
+
+
+def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
+    """A robot from the content of its YAML.
+
+    Raises:
+        ConfigError: unknown kind or key, wrong type, impossible value; one line.
+    """
+    kind = mapping.get("kind")
+    if kind not in KINDS:
+        raise ConfigError(f"robot.kind: got {kind!r}, allowed: {', '.join(KINDS)}")
+    config_type, make = KINDS[kind]
+    return make(build(config_type, mapping, "robot"))
+
+
+def robot_hash(robot: QuaternionArm) -> str:
+    """Hash of all that describes a robot; data carry it, so that another robot's are refused."""
+    return hash_of(as_mapping(robot.config))

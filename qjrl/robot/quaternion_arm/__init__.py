@@ -1,0 +1,1 @@
+"""The cable-driven arm made of quaternion joints: description, kinematics, cables, MJCF."""

@@ -1,0 +1,227 @@
+"""What a quaternion-joint arm is: the values of its YAML, checked, and the pytree that the kinematics read."""
+
+import dataclasses
+import math
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from qjrl.config import Range
+
+Positive = Range(above=0.0)
+NonNegative = Range(low=0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class JointConfig:
+    """One quaternion joint: a crossed four-bar (antiparallelogram) between two plates."""
+
+    crossed_link_length: Annotated[float, Positive]
+    """Length l of the crossed links [m]."""
+    pin_distance: Annotated[float, NonNegative]
+    """Distance k of the two pins on a plate [m]; with plate_to_pin = 0 as well, k = 0 is the spherical joint."""
+    plate_to_pin: Annotated[float, NonNegative]
+    """Offset d of the pins from their plate [m]."""
+    bend_limit_deg: Annotated[float, Range(above=0.0, below=90.0)]
+    """Largest commanded bend angle of a joint [deg]."""
+    stop_margin_deg: Annotated[float, Range(low=0.0, high=20.0)]
+    """How far beyond the limit the mechanical stop lies [deg]."""
+
+    def __post_init__(self):
+        if self.pin_distance >= self.crossed_link_length:
+            raise ValueError(
+                f"pin_distance: got {self.pin_distance}, allowed: less than crossed_link_length = {self.crossed_link_length}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class CablesConfig:
+    """Routing: one cable is a loop of two strands through opposite holes, driven by one motor."""
+
+    hole_circle_diameter: Annotated[float, Positive]
+    """Diameter D of the circle of holes in every plate [m]."""
+    hole_angles_deg: tuple[tuple[float, float], ...]
+    """Hole angle of the two cables of each segment [deg]; the return strand runs at +180."""
+    names: tuple[tuple[int, int], ...]
+    """The number each cable goes by on the machine, per segment."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MechanicsConfig:
+    """Masses and passive forces; no field here is a solver setting."""
+
+    joint_mass: Annotated[float, Positive]
+    """Limbs of one joint [kg]."""
+    link_mass: Annotated[float, Positive]
+    """Link with its two plates [kg]."""
+    link_radius: Annotated[float, Positive]
+    """Radius of the link, a solid cylinder for the inertia [m]."""
+    joint_stiffness: Annotated[float, NonNegative]
+    """Restoring torque against the bend angle of a joint [N m/rad]."""
+    joint_damping: Annotated[float, NonNegative]
+    """Viscous torque against the bend rate of a joint [N m s/rad]."""
+    joint_friction: Annotated[float, NonNegative]
+    """Dry friction of each half-angle hinge [N m]."""
+    armature: Annotated[float, Positive]
+    """Inertia added to each hinge [kg m^2]."""
+    gravity: tuple[float, float, float]
+    """Gravity in the base frame, whose z is the straight arm [m/s^2]."""
+    payload: Annotated[float, NonNegative]
+    """Mass at the tip [kg]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class StrandsConfig:
+    """A strand pulls and never pushes."""
+
+    stiffness: Annotated[float, Positive]
+    """EA/L of a strand [N/m]."""
+    tensioner_stiffness: Annotated[float, Positive] | None
+    """Spring in series with every strand [N/m]; null for none."""
+    damping: Annotated[float, NonNegative]
+    """Viscous force along a strand [N s/m]."""
+    friction: Annotated[float, NonNegative]
+    """Dry friction along a strand [N]."""
+    pretension: Annotated[float, NonNegative]
+    """Tension of every strand at home [N]."""
+    strength: Annotated[float, Positive]
+    """Largest tension of a strand [N]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MotorsConfig:
+    """One motor a cable."""
+
+    speed: Annotated[float, Positive]
+    """Largest cable speed [m/s]."""
+    force: Annotated[float, Positive]
+    """Largest difference of the tensions of a loop's two strands [N]."""
+    pulley_radius: Annotated[float, Positive]
+    """[m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class QuaternionArmConfig:
+    """The YAML of an arm (`kind: quaternion_arm`, `schema: 1`)."""
+
+    kind: Literal["quaternion_arm"]
+    schema: Literal[1]
+    name: str
+    joints_per_segment: tuple[Annotated[int, Range(low=1, high=6)], ...]
+    """m_k for each segment, from the base."""
+    joint: JointConfig
+    link_length: Annotated[float, NonNegative]
+    """Length l0 of the link after every joint [m]."""
+    cables: CablesConfig
+    mechanics: MechanicsConfig
+    strands: StrandsConfig
+    motors: MotorsConfig
+
+    def __post_init__(self):
+        num_segments = len(self.joints_per_segment)
+        if num_segments == 0:
+            raise ValueError("joints_per_segment: got [], allowed: at least one segment")
+        for key in ("hole_angles_deg", "names"):
+            if len(getattr(self.cables, key)) != num_segments:
+                raise ValueError(
+                    f"cables.{key}: got {len(getattr(self.cables, key))} pairs, allowed: one for each of the {num_segments} segments"
+                )
+        names = [name for pair in self.cables.names for name in pair]
+        if len(set(names)) != len(names):
+            raise ValueError(f"cables.names: got {names}, allowed: all different")
+        _check_hole_angles(self.cables.hole_angles_deg)
+        stop = self.joint.bend_limit_deg + self.joint.stop_margin_deg
+        if stop >= 90.0:
+            raise ValueError(f"joint.stop_margin_deg: the stop lies at {stop} deg, allowed: below 90")
+        if max(self.joints_per_segment) * stop > 170.0 and max(self.joints_per_segment) <= 2:
+            raise ValueError(f"joint.bend_limit_deg: a segment would bend {max(self.joints_per_segment) * stop:.0f} deg, allowed: up to 170")
+
+
+def _check_hole_angles(hole_angles_deg: tuple[tuple[float, float], ...]) -> None:
+    """Each hole belongs to one strand: angles differ modulo 180, since return strands use the opposite hole."""
+    angles = sorted(angle % 180.0 for pair in hole_angles_deg for angle in pair)
+    gaps = [after - before for before, after in zip(angles, angles[1:] + [angles[0] + 180.0], strict=True)]
+    if min(gaps) < 1.0:
+        raise ValueError(
+            f"cables.hole_angles_deg: got {[list(pair) for pair in hole_angles_deg]}, allowed: all different by 1 deg or more, modulo 180"
+        )
+
+
+@struct.dataclass
+class QuaternionArm:
+    """An arm as a pytree: lengths, angles and stiffnesses are traced leaves, counts and joint model static."""
+
+    crossed_link_length: jax.Array
+    """l [m]."""
+    pin_distance: jax.Array
+    """k [m]."""
+    plate_to_pin: jax.Array
+    """d [m]."""
+    link_length: jax.Array
+    """l0 [m]."""
+    hole_circle_diameter: jax.Array
+    """D [m]."""
+    hole_angles: jax.Array
+    """(num_segments, 2) [rad]."""
+    bend_limit: jax.Array
+    """Largest commanded theta [rad]."""
+    strand_stiffness: jax.Array
+    """Of strand and tensioner in series [N/m]."""
+    pretension: jax.Array
+    """[N]."""
+    motor_speed: jax.Array
+    """[m/s]."""
+    motor_force: jax.Array
+    """[N]."""
+    config: QuaternionArmConfig = struct.field(pytree_node=False)
+    """The values as described; what only the physics needs is read from here."""
+    joints_per_segment: tuple[int, ...] = struct.field(pytree_node=False)
+    joint_model: str = struct.field(pytree_node=False)
+    """"spherical" (constant height) or "rolling"."""
+
+    kind = "quaternion_arm"
+
+    @property
+    def name(self) -> str:
+        return self.config.name
+
+    @property
+    def num_segments(self) -> int:
+        return len(self.joints_per_segment)
+
+    @property
+    def num_joints(self) -> int:
+        return sum(self.joints_per_segment)
+
+    @property
+    def num_cables(self) -> int:
+        return 2 * self.num_segments
+
+    @property
+    def num_strands(self) -> int:
+        return 4 * self.num_segments
+
+
+def arm_from_config(config: QuaternionArmConfig) -> QuaternionArm:
+    """The pytree of a checked description."""
+    joint, strands = config.joint, config.strands
+    compliance = 1.0 / strands.stiffness + (1.0 / strands.tensioner_stiffness if strands.tensioner_stiffness else 0.0)
+    is_spherical = joint.pin_distance == 0.0 and joint.plate_to_pin == 0.0
+    return QuaternionArm(
+        crossed_link_length=jnp.asarray(joint.crossed_link_length),
+        pin_distance=jnp.asarray(joint.pin_distance),
+        plate_to_pin=jnp.asarray(joint.plate_to_pin),
+        link_length=jnp.asarray(config.link_length),
+        hole_circle_diameter=jnp.asarray(config.cables.hole_circle_diameter),
+        hole_angles=jnp.radians(jnp.asarray(config.cables.hole_angles_deg)),
+        bend_limit=jnp.asarray(math.radians(joint.bend_limit_deg)),
+        strand_stiffness=jnp.asarray(1.0 / compliance),
+        pretension=jnp.asarray(strands.pretension),
+        motor_speed=jnp.asarray(config.motors.speed),
+        motor_force=jnp.asarray(config.motors.force),
+        config=config,
+        joints_per_segment=config.joints_per_segment,
+        joint_model="spherical" if is_spherical else "rolling",
+    )

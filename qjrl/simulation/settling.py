@@ -1,0 +1,174 @@
+"""Settle: hold cable lengths in the physics until the arm rests, and read its pose and tensions."""
+
+import dataclasses
+import math
+from typing import Annotated, Literal
+
+import jax
+import numpy as np
+from flax import struct
+
+from qjrl.config import Range
+from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.verbs import Robot
+
+# Below this tension [N] a strand counts as slack.
+SLACK_TENSION = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class SettleConfig:
+    """How to settle (group `simulation`). None of it moves the settled pose by more than 0.02 mm."""
+
+    backend: Literal["mujoco", "mjx"] = "mujoco"
+    """"mujoco": batches of C MuJoCo on the CPU's cores; "mjx": JAX, for accelerators (float32)."""
+    timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
+    """Time step [s]."""
+    speed_tolerance: Annotated[float, Range(above=0.0, high=0.1)] = 1e-4
+    """At rest: mean |joint velocity| below this [rad/s]. MJX in float32 rests at up to 1.2e-4."""
+    hold_time: Annotated[float, Range(above=0.0, high=10.0)] = 0.05
+    """... for this long [s]."""
+    max_time: Annotated[float, Range(above=0.0, high=600.0)] = 6.0
+    """What does not rest by then is flagged [s of simulated time]."""
+    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 10.0
+    """Joint damping while settling, times the robot's: the equilibrium stays, the oscillation does not."""
+    batch_size: Annotated[int, Range(low=1, high=65536)] = 256
+    """Simulations side by side."""
+    num_threads: Annotated[int, Range(low=0, high=1024)] = 0
+    """Threads of C MuJoCo; 0 = all cores."""
+
+    def __post_init__(self):
+        if self.hold_time >= self.max_time:
+            raise ValueError(f"hold_time: got {self.hold_time}, allowed: less than max_time = {self.max_time}")
+
+    @property
+    def solver(self) -> SolverOptions:
+        """The physics' numerical settings while settling."""
+        return SolverOptions(timestep=self.timestep, damping_scale=self.damping_scale)
+
+    @property
+    def hold_steps(self) -> int:
+        """Consecutive steps at rest that count as settled."""
+        return math.ceil(self.hold_time / self.timestep)
+
+    @property
+    def max_steps(self) -> int:
+        """Steps after which a simulation is given up."""
+        return math.ceil(self.max_time / self.timestep)
+
+
+@struct.dataclass
+class SettleResult:
+    """What the physics rests at, one row a command; float64 on the host."""
+
+    pose: np.ndarray
+    """(n, 9) tip pose [m, -]."""
+    bends: np.ndarray
+    """(n, segments, 2) mean bend of each segment's joints."""
+    strand_tension: np.ndarray
+    """(n, strands) [N], 0 where slack."""
+    joint_positions: np.ndarray
+    """(n, nq) [rad, m]."""
+    equality_error: np.ndarray
+    """(n,) largest distance of a joint position from the constraint manifold [rad, m]."""
+    speed: np.ndarray
+    """(n,) mean |joint velocity| at the end [rad/s]."""
+    steps: np.ndarray
+    """(n,) simulation steps taken."""
+    converged: np.ndarray
+    """(n,) at rest; False: never settled, or diverged, its other values are not to be used."""
+
+    @property
+    def is_slack(self) -> np.ndarray:
+        """(n, strands) whether a strand carries no tension."""
+        return self.strand_tension < SLACK_TENSION
+
+
+@dataclasses.dataclass(frozen=True)
+class SettleProblem:
+    """What a backend needs: where each simulation starts and what its actuators hold."""
+
+    joint_positions: np.ndarray
+    """(n, nq) start [rad, m]."""
+    strand_commands: np.ndarray
+    """(n, strands) rest lengths [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RawSettled:
+    """What a backend reads off at the end, one row a simulation."""
+
+    joint_positions: np.ndarray
+    pose: np.ndarray
+    strand_tension: np.ndarray
+    speed: np.ndarray
+    steps: np.ndarray
+    converged: np.ndarray
+
+
+def settle(
+    robot: Robot, cable_lengths, backend: str | None = None, config: SettleConfig | None = None, advance=None
+) -> SettleResult:
+    """Settle the arm at each row of cable lengths, starting from its nominal pose.
+
+    Args:
+        robot: the arm.
+        cable_lengths: (n, num_cables) [m] relative to home, + pays out.
+        backend: "mujoco" or "mjx"; default: the config's.
+        config: tolerances, limits and sizes; default `SettleConfig()`.
+        advance: called with the number of newly settled rows (a progress bar).
+    Raises:
+        ValueError: wrong shape, non-finite lengths, unknown backend.
+    """
+    config = config or SettleConfig()
+    backend = backend or config.backend
+    if backend not in ("mujoco", "mjx"):
+        raise ValueError(f"backend: got {backend!r}, allowed: mujoco, mjx")
+    lengths = np.asarray(cable_lengths, dtype=np.float64)
+    if lengths.ndim != 2 or lengths.shape[1] != robot.num_cables:
+        raise ValueError(f"cable_lengths: got shape {lengths.shape}, allowed: (n, {robot.num_cables})")
+    if not np.all(np.isfinite(lengths)):
+        raise ValueError("cable_lengths: got non-finite values, allowed: finite lengths [m]")
+    problem = nominal_problem(robot, lengths)
+    raw = _load_backend(backend)(robot, problem, config, advance or (lambda count: None))
+    return _describe(robot, raw)
+
+
+def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
+    """Start every simulation at the nominal pose: the same equilibrium as from home, in half the steps."""
+    start = jax.jit(jax.vmap(lambda row: joint_positions(robot, _within_reach(bends_from_cables(robot, row)))))
+    commands = jax.jit(jax.vmap(lambda row: strand_commands(robot, row)))
+    return SettleProblem(np.asarray(start(lengths), np.float64), np.asarray(commands(lengths), np.float64))
+
+
+def _within_reach(bends: jax.Array) -> jax.Array:
+    """Bends scaled to theta <= 90 degrees: lengths no pose can have still start at some pose."""
+    norm = jax.numpy.sqrt(jax.numpy.sum(bends**2, axis=-1, keepdims=True) + 1e-30)
+    return bends * jax.numpy.minimum(1.0, math.sin(math.pi / 4.0) / norm)
+
+
+def _load_backend(name: str):
+    """Backends are imported when used: MJX takes seconds to import."""
+    if name == "mjx":
+        from qjrl.simulation.mjx_settle import settle_mjx
+
+        return settle_mjx
+    from qjrl.simulation.mujoco_settle import settle_mujoco
+
+    return settle_mujoco
+
+
+def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
+    bends = jax.jit(jax.vmap(lambda row: configuration_from_joint_positions(robot, row)))(raw.joint_positions)
+    manifold = jax.jit(jax.vmap(lambda row: joint_positions(robot, row)))(bends)
+    return SettleResult(
+        pose=raw.pose,
+        bends=np.asarray(bends),
+        strand_tension=raw.strand_tension,
+        joint_positions=raw.joint_positions,
+        equality_error=np.abs(np.asarray(manifold) - raw.joint_positions).max(axis=1),
+        speed=raw.speed,
+        steps=raw.steps,
+        converged=raw.converged,
+    )
