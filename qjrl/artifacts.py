@@ -32,7 +32,7 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
     if objects:
         raise ArtifactError(f"{path}: {', '.join(objects)} would need pickle; arrays must hold numbers or texts")
     with _replacing(Path(path)) as file:
-        np.savez(file, allow_pickle=False, **plain)  # pyright: ignore[reportArgumentType]
+        np.savez(file, **plain)  # pyright: ignore[reportArgumentType]
 
 
 def write_json(path: str | Path, content: Any) -> None:

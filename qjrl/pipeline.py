@@ -80,8 +80,32 @@ STAGES: dict[str, Stage] = {
     ),
 }
 
-RUN_KEYS = ("name", "stages")
-"""Top-level keys that belong to the run and to no stage."""
+
+@dataclasses.dataclass(frozen=True)
+class RunConfig:
+    """The top-level keys that belong to the run and to no stage."""
+
+    name: str
+    """Name of the directory of the run."""
+    stages: tuple[str, ...]
+    """Names of the stages to run, in any order."""
+
+    def __post_init__(self) -> None:
+        if not self.stages:
+            raise ConfigError(f"stages: got [], allowed: some of {', '.join(STAGES)}")
+        for stage in self.stages:
+            if stage not in STAGES:
+                raise ConfigError(f"stages: got '{stage}', {known_names(stage, STAGES)}")
+
+
+def selected(tree: Mapping[str, Any]) -> list[str]:
+    """The stages that a configuration asks for, each once, in the order of the data flow."""
+    return in_order(build(RunConfig, _part(tree, RunConfig)).stages)
+
+
+def in_order(names: Iterable[str]) -> list[str]:
+    """The stages named, each once, in the order of the data flow."""
+    return [name for name in STAGES if name in set(names)]
 
 
 def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None:
@@ -96,15 +120,6 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
         _run_stage(name, configs[name], run_dir)
 
 
-def in_order(names: Iterable[str]) -> list[str]:
-    """The stages asked for, each once, in the order of the data flow."""
-    names = list(names)
-    for name in names:
-        if name not in STAGES:
-            raise ConfigError(f"stages: got '{name}', {known_names(name, STAGES)}")
-    return [name for name in STAGES if name in names]
-
-
 def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
     """Checks the whole configuration before any work: builds every stage's Config from the keys it names.
 
@@ -114,7 +129,7 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
         ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
     """
     kinds = {name: stage.load().Config for name, stage in STAGES.items()}
-    known = {field.name for kind in kinds.values() for field in dataclasses.fields(kind)} | set(RUN_KEYS)
+    known = {field.name for kind in (RunConfig, *kinds.values()) for field in dataclasses.fields(kind)}
     for key in tree:
         if key not in known:
             raise unknown_key(key, tree[key], sorted(known))

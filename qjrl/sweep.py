@@ -1,0 +1,67 @@
+"""The record of one run and the table over the runs of a sweep."""
+
+import csv
+import io
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from qjrl import artifacts
+
+SUMMARY = "summary.json"
+METRICS = Path("compare") / "metrics.json"
+
+
+@contextmanager
+def recorded(run_dir: Path, overrides: list[str]) -> Iterator[dict[str, Any]]:
+    """Keeps ``summary.json`` of a run: "running" while the block lasts, so that a killed job shows; then its end.
+
+    The block sets `status` (and `error`) in the record it gets; an interruption is recorded here.
+    """
+    record: dict[str, Any] = {"status": "running", "overrides": overrides, "started": time.time(), "seconds": None}
+    artifacts.write_json(run_dir / SUMMARY, record)
+    try:
+        yield record
+    except BaseException:
+        record["status"] = "interrupted"
+        raise
+    finally:
+        record["seconds"] = round(time.time() - record["started"], 1)
+        artifacts.write_json(run_dir / SUMMARY, record)
+
+
+def gather(sweep_dir: Path, since: float) -> list[dict[str, Any]]:
+    """One row per run below `sweep_dir` that started after `since` [s since the epoch]: its record and its metrics."""
+    rows = []
+    for path in sorted(sweep_dir.glob(f"**/{SUMMARY}")):
+        record = artifacts.load(path)
+        if record["started"] < since:
+            continue
+        metrics = path.parent / METRICS
+        row = {"job": path.parent.relative_to(sweep_dir).as_posix(), **record}
+        row["metrics"] = _flat(artifacts.load(metrics)) if metrics.exists() and record["status"] == "done" else {}
+        row["status"] = "did not finish" if record["status"] == "running" else record["status"]
+        rows.append(row)
+    return rows
+
+
+def write(sweep_dir: Path, rows: list[dict[str, Any]]) -> None:
+    """Writes the table as ``sweep.json`` and ``sweep.csv`` (one column per metric)."""
+    artifacts.write_json(sweep_dir / "sweep.json", rows)
+    flat = [{key: row[key] for key in ("job", "status", "seconds")} | row["metrics"] for row in rows]
+    columns = list(dict.fromkeys(key for row in flat for key in row))
+    text = io.StringIO()
+    table = csv.DictWriter(text, columns)
+    table.writeheader()
+    table.writerows(flat)
+    artifacts.write_bytes(sweep_dir / "sweep.csv", text.getvalue().encode())
+
+
+def _flat(metrics: Any, where: str = "") -> dict[str, float]:
+    """Nested metrics as dotted names; texts and lists are left out."""
+    if isinstance(metrics, Mapping):
+        parts = [_flat(value, f"{where}.{key}" if where else str(key)) for key, value in metrics.items()]
+        return {key: value for part in parts for key, value in part.items()}
+    return {where: metrics} if isinstance(metrics, (int, float)) and not isinstance(metrics, bool) else {}
