@@ -152,7 +152,7 @@ def done_marker(directory: str | Path) -> dict[str, Any] | None:
 def _load_directory(directory: Path, robot_hash: str | None) -> Any:
     if (directory / MANIFEST).exists():
         return _load_dataset(directory, robot_hash)
-    if (directory / "_CHECKPOINT_METADATA").exists():
+    if (directory / "_METADATA").exists():
         return _load_checkpoint(directory)
     entries = [entry for entry in sorted(directory.iterdir()) if entry.is_dir() or entry.suffix in _READERS]
     return {entry.name: load(entry, robot_hash) for entry in entries if not entry.name.startswith(".")}
@@ -182,10 +182,15 @@ def _load_shard(directory: Path, entry: Mapping[str, Any]) -> dict[str, np.ndarr
 def _load_checkpoint(directory: Path) -> Any:
     import jax
     import orbax.checkpoint as ocp
+    from etils import epath
 
-    with ocp.PyTreeCheckpointer() as checkpointer:
-        restored = checkpointer.restore(directory.absolute())
-    return jax.tree.map(np.asarray, restored)
+    handler, path = ocp.PyTreeCheckpointHandler(), epath.Path(directory.absolute())
+    try:
+        tree = handler.metadata(path).tree
+        to_host = jax.tree.map(lambda _: ocp.RestoreArgs(restore_type=np.ndarray), tree)  # whatever device wrote it
+        return handler.restore(path, args=ocp.args.PyTreeRestore(restore_args=to_host))
+    except (OSError, ValueError, KeyError) as error:
+        raise ArtifactError(f"{directory}: is a damaged checkpoint ({' '.join(str(error).split())})") from error
 
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:

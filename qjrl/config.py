@@ -67,7 +67,7 @@ def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
     except ConfigError:
         raise
     except ValueError as error:
-        raise ConfigError(f"{where}: {error}" if where else str(error)) from error
+        raise ConfigError(_placed(str(error), where, fields)) from error
 
 
 def as_mapping(value: Any) -> Any:
@@ -220,6 +220,12 @@ def _tuple(value: Any, kind: Any, where: str) -> tuple[Any, ...]:
 
 def _join(where: str, key: Any) -> str:
     return f"{where}.{key}" if where else str(key)
+
+
+def _placed(text: str, where: str, fields: Collection[str]) -> str:
+    """The text of a cross-field check under its full key; "length: ..." names the field itself."""
+    named = re.match(r"(\w+)[\w.\[\]]*: ", text)
+    return _join(where, text) if not where or (named and named[1] in fields) else f"{where}: {text}"
 
 
 def _refuse(where: str, value: Any, allowed: str, cause: Exception | None = None) -> NoReturn:

@@ -1,0 +1,109 @@
+"""The floors of the house: imports point down, none across except inside one folder."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "qjrl"
+FILES = sorted(PACKAGE.rglob("*.py"))
+FLOORS = {
+    "__init__": 0,
+    "geometry": 1,
+    "learning": 1,
+    "config": 1,
+    "artifacts": 1,
+    "progress": 1,
+    "robot": 2,
+    "simulation": 3,
+    "solvers": 3,
+    "control": 4,
+    "deployment": 4,
+    "analysis": 4,
+    "stages": 5,
+    "pipeline": 6,
+    "__main__": 7,
+}
+# Beside the floors of the design: the record of where a result comes from, the table over the runs of a sweep.
+FLOORS |= {"provenance": 1.5, "sweep": 6}
+GROUND = {"config", "artifacts", "progress"}
+"""The files of floor 1 that the folders of floor 1 may use too."""
+
+
+def modules_imported(file: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: relative import; name the package"
+            yield node.module or ""
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def part_of(module: str) -> str | None:
+    """The folder or file of the package that a module belongs to: `qjrl.robot.loading` -> `robot`."""
+    names = module.split(".")
+    return names[1] if names[0] == "qjrl" and len(names) > 1 and names[1] in FLOORS else None
+
+
+def own_part(file: Path) -> str:
+    return file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.relative_to(PACKAGE).as_posix())
+def test_imports_point_down(file: Path) -> None:
+    own = own_part(file)
+    assert own in FLOORS, f"{own} has no floor"
+    for part in {part_of(module) for module in modules_imported(file)} - {None, own}:
+        assert part is not None
+        is_ground = part in GROUND and own not in GROUND and FLOORS[own] >= 1
+        assert FLOORS[part] < FLOORS[own] or is_ground, f"{own} (floor {FLOORS[own]}) imports {part} ({FLOORS[part]})"
+
+
+def files_importing(*packages: str) -> set[str]:
+    roots = {file: {module.split(".")[0] for module in modules_imported(file)} for file in FILES}
+    return {own_part(file) for file, imported in roots.items() if imported & set(packages)}
+
+
+def test_only_the_door_knows_hydra() -> None:
+    assert files_importing("hydra", "omegaconf") <= {"__main__"}
+
+
+def test_only_analysis_draws_with_matplotlib() -> None:
+    assert files_importing("matplotlib") <= {"analysis"}
+
+
+def test_only_progress_and_the_door_know_rich() -> None:
+    assert files_importing("rich") <= {"progress", "__main__"}
+
+
+def test_nothing_is_ever_pickled() -> None:
+    assert not files_importing("pickle", "cloudpickle", "dill", "joblib", "shelve", "marshal")
+    assert not [file for file in FILES if "allow_pickle=True" in file.read_text()]
+
+
+def test_annotations_are_not_postponed_because_the_shape_checker_needs_them() -> None:
+    assert not [file for file in FILES if "__future__.annotations" in set(modules_imported(file))]
+
+
+def test_nothing_below_the_door_prints_or_touches_the_environment() -> None:
+    for file in FILES:
+        if own_part(file) == "__main__":
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            assert not (isinstance(node, ast.Name) and node.id == "print"), f"{file} prints"
+            assert not (isinstance(node, ast.Attribute) and node.attr in ("environ", "putenv")), f"{file}: environment"
+
+
+def test_no_file_is_named_for_what_is_left_over() -> None:
+    assert not [file for file in FILES if file.stem in ("utils", "util", "helpers", "common", "misc")]
+
+
+def test_no_file_or_function_is_too_long_to_read() -> None:
+    for file in FILES:
+        text = file.read_text()
+        assert len(text.splitlines()) <= 300, f"{file} has more than 300 lines"
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                assert (node.end_lineno or 0) - node.lineno < 60, f"{file}: {node.name} has more than 60 lines"

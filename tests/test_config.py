@@ -1,0 +1,158 @@
+import dataclasses
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from qjrl.config import ConfigError, Range, as_mapping, build, conf_folder, read_yaml
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    length: Annotated[float, Range(above=0.0)]
+    limit: Annotated[float, Range(0.0, below=90.0)] = 70.0
+    model: Literal["spherical", "rolling"] = "rolling"
+
+
+@dataclasses.dataclass(frozen=True)
+class Arm:
+    joint: Joint
+    counts: tuple[Annotated[int, Range(1, 10)], ...] = (2, 2)
+    angles: tuple[tuple[float, ...], ...] = ()
+    hole: tuple[float, float] = (0.0, 90.0)
+    payload: Annotated[float, Range(low=0.0)] | None = None
+    label: str | int | None = None
+    table: Path | None = None
+    rolling: bool = True
+    extra: dict = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.payload is not None and len(self.counts) > 3:
+            raise ValueError("payload: allowed only with at most 3 counts")
+
+
+def arm(**changes: Any) -> Arm:
+    return build(Arm, {"joint": {"length": 0.02}, **changes}, "robot")
+
+
+def refused(**changes: Any) -> str:
+    with pytest.raises(ConfigError) as caught:
+        arm(**changes)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_full_mapping_builds_the_dataclass_with_tuples_for_lists_and_floats_for_ints() -> None:
+    built = arm(angles=[[0, 90], [45]], payload=1, label="a", table="x/y.csv", extra={"k": [1]}, counts=[3])
+    assert built.angles == ((0.0, 90.0), (45.0,)) and isinstance(built.angles[0][0], float)
+    assert built.payload == 1.0 and built.table == Path("x/y.csv") and built.extra == {"k": [1]}
+    assert built.joint == Joint(length=0.02)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joint": {"length": -1}}, "robot.joint.length: got -1, allowed: a finite number above 0"),
+        ({"joint": {"length": "1"}}, "robot.joint.length: got '1', allowed: a finite number above 0"),
+        ({"joint": {"length": math.nan}}, "robot.joint.length: got nan, allowed: a finite number above 0"),
+        ({"joint": {"length": math.inf}}, "robot.joint.length: got inf, allowed: a finite number above 0"),
+        (
+            {"joint": {"length": 1, "limit": 90}},
+            "robot.joint.limit: got 90, allowed: a finite number at least 0 and below 90",
+        ),
+        (
+            {"joint": {"length": 1, "model": "rollin"}},
+            "robot.joint.model: got 'rollin', allowed: one of spherical, rolling",
+        ),
+        ({"joint": {}}, "robot.joint.length: missing, allowed: a finite number above 0"),
+        ({"joint": None}, "robot.joint: got null, allowed: a mapping with the keys length, limit, model"),
+        ({"counts": 2}, "robot.counts: got 2, allowed: a list, each an integer from 1 to 10"),
+        ({"counts": [2, 0]}, "robot.counts[1]: got 0, allowed: an integer from 1 to 10"),
+        ({"counts": [True]}, "robot.counts[0]: got true, allowed: an integer from 1 to 10"),
+        ({"counts": [2.0]}, "robot.counts[0]: got 2.0, allowed: an integer from 1 to 10"),
+        ({"angles": [[0, "a"]]}, "robot.angles[0][1]: got 'a', allowed: a finite number"),
+        ({"hole": [1]}, "robot.hole: got [1], allowed: a list of 2: a finite number, a finite number"),
+        ({"payload": -0.5}, "robot.payload: got -0.5, allowed: a finite number at least 0 or null"),
+        ({"label": 1.5}, "robot.label: got 1.5, allowed: a text or an integer or null"),
+        ({"rolling": 1}, "robot.rolling: got 1, allowed: true or false"),
+        ({"extra": [1]}, "robot.extra: got [1], allowed: a mapping"),
+        ({"payload": 1, "counts": [1, 1, 1, 1]}, "robot.payload: allowed only with at most 3 counts"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_one_line_with_key_value_and_what_is_allowed(changes, message) -> None:
+    assert refused(**changes) == message
+
+
+def test_an_unknown_key_is_refused_with_what_was_probably_meant() -> None:
+    message = refused(joint={"length": 1, "limmit": 3})
+    assert message == (
+        "robot.joint.limmit: got 3, but there is no such key; did you mean 'limit'? known: length, limit, model"
+    )
+
+
+def test_a_long_value_is_shortened_to_one_line() -> None:
+    assert len(refused(counts="x\n" * 1000)) < 200
+
+
+plain_arms = st.fixed_dictionaries(
+    {"joint": st.fixed_dictionaries({"length": st.floats(1e-6, 1e6)}, optional={"model": st.just("spherical")})},
+    optional={
+        "counts": st.lists(st.integers(1, 10), max_size=3),
+        "angles": st.lists(st.lists(st.floats(-360, 360)), max_size=3),
+        "payload": st.none() | st.floats(0, 10),
+        "label": st.none() | st.text() | st.integers(),
+        "rolling": st.booleans(),
+    },
+)
+
+
+@given(plain_arms)
+def test_as_mapping_is_the_inverse_of_build(mapping) -> None:
+    built = build(Arm, mapping)
+    assert build(Arm, as_mapping(built)) == built
+    assert all(as_mapping(built)[key] == value for key, value in mapping.items() if key != "joint")
+
+
+@given(
+    st.recursive(
+        st.none() | st.booleans() | st.floats() | st.text(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)
+    )
+)
+def test_whatever_is_given_either_builds_or_is_refused_in_one_line(anything) -> None:
+    try:
+        build(Arm, anything)
+    except ConfigError as error:
+        assert "\n" not in str(error)
+
+
+def test_yaml_numbers_with_an_exponent_are_numbers(tmp_path) -> None:
+    (tmp_path / "a.yaml").write_text("a: 1e-3\nb: 2E5\nc: 1.5e3\nd: 7\ne: e5\n")
+    assert read_yaml(tmp_path / "a.yaml") == {"a": 0.001, "b": 2e5, "c": 1500.0, "d": 7, "e": "e5"}
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot be read"),
+        ("a: [1", "is not YAML"),
+        ("- 1", "expected a mapping"),
+        (b"\xff\xfe\x00", "is not YAML"),
+    ],
+)
+def test_a_yaml_file_that_cannot_be_used_is_one_line(tmp_path, content, message) -> None:
+    path = tmp_path / "arm.yaml"
+    if content is not None:
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ConfigError, match=message) as caught:
+        read_yaml(path)
+    assert "\n" not in str(caught.value) and "arm.yaml" in str(caught.value)
+
+
+def test_every_shipped_yaml_file_is_a_mapping() -> None:
+    files = sorted(conf_folder().rglob("*.yaml"))
+    assert files
+    for file in files:
+        read_yaml(file)

@@ -1,0 +1,150 @@
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+import pytest
+
+from qjrl import artifacts, pipeline
+from qjrl.artifacts import ArtifactError
+from qjrl.config import ConfigError, Range
+from qjrl.pipeline import Stage
+
+
+@dataclasses.dataclass(frozen=True)
+class First:
+    count: Annotated[int, Range(1, 10)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Second:
+    gain: float = 1.0
+
+
+@dataclasses.dataclass(frozen=True)
+class FirstConfig:
+    first: First
+    seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class SecondConfig:
+    second: Second
+
+
+TREE: dict[str, Any] = {"name": "t", "stages": ["second", "first"], "seed": 1, "first": {"count": 2}, "second": {}}
+
+
+@pytest.fixture
+def calls(monkeypatch) -> list[str]:
+    """Two fake stages, the second reading the first; the list records each run of one."""
+    calls: list[str] = []
+
+    def run_first(config: FirstConfig, inputs: dict[str, Path], out: Path) -> None:
+        calls.append("first, going on" if (out / "partial.json").exists() else "first")
+        artifacts.write_json(out / "partial.json", 0)
+        if config.first.count == 7:
+            raise KeyboardInterrupt
+        artifacts.write_json(out / "count.json", config.first.count)
+
+    def run_second(config: SecondConfig, inputs: dict[str, Path], out: Path) -> None:
+        calls.append("second")
+        artifacts.write_json(out / "product.json", config.second.gain * artifacts.load(inputs["first"] / "count.json"))
+
+    for name, kind, run in (("first", FirstConfig, run_first), ("second", SecondConfig, run_second)):
+        module = ModuleType(f"fake_{name}")
+        module.__dict__.update(Config=kind, run=run)
+        monkeypatch.setitem(sys.modules, f"fake_{name}", module)
+    stages = {
+        "first": Stage("fake_first", "counts", writes="one"),
+        "second": Stage("fake_second", "multiplies", reads=("first",), writes="two"),
+    }
+    monkeypatch.setattr(pipeline, "STAGES", stages)
+    return calls
+
+
+def run(run_dir: Path, stages: list[str] | None = None, **changes: Any) -> None:
+    tree = TREE | changes | ({"stages": stages} if stages else {})
+    pipeline.run(pipeline.selected(tree), pipeline.build_configs(tree), run_dir)
+
+
+def test_stages_run_in_the_order_of_the_data_flow_whatever_the_order_asked_for(tmp_path, calls) -> None:
+    run(tmp_path)
+    assert calls == ["first", "second"]
+    assert artifacts.load(tmp_path / "two" / "product.json") == 2.0
+
+
+def test_what_is_done_and_unchanged_is_skipped(tmp_path, calls) -> None:
+    run(tmp_path)
+    run(tmp_path)
+    assert calls == ["first", "second"]
+
+
+def test_a_change_runs_again_only_what_depends_on_it_and_keeps_the_old_output(tmp_path, calls) -> None:
+    run(tmp_path)
+    run(tmp_path, second={"gain": 3})
+    assert calls == ["first", "second", "second"]
+    assert artifacts.load(tmp_path / "two" / "product.json") == 6.0
+    assert artifacts.load(tmp_path / "two.previous" / "product.json") == 2.0
+    run(tmp_path, first={"count": 4}, second={"gain": 3})
+    assert calls == ["first", "second", "second", "first", "second"]
+    assert artifacts.load(tmp_path / "two.previous" / "product.json") == 6.0
+
+
+def test_an_interrupted_stage_goes_on_in_its_directory(tmp_path, calls) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, first={"count": 7})
+    assert artifacts.done_marker(tmp_path / "one") is None
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, first={"count": 7})
+    run(tmp_path, first={"count": 8})  # another configuration: not the work of the interrupted run
+    assert calls == ["first", "first, going on", "first", "second"]
+
+
+def test_an_input_that_is_missing_or_unfinished_is_one_line_that_says_what_to_run(tmp_path, calls) -> None:
+    with pytest.raises(ArtifactError, match=r"does not exist; run stages=\[first,second\]"):
+        run(tmp_path, stages=["second"])
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, first={"count": 7})
+    with pytest.raises(ArtifactError, match="is not finished"):
+        run(tmp_path, stages=["second"])
+    assert not (tmp_path / "two").exists()
+
+
+def test_the_whole_configuration_is_checked_before_any_work(tmp_path, calls) -> None:
+    with pytest.raises(ConfigError, match=r"^second.gain: got 'x'"):
+        run(tmp_path, stages=["first"], second={"gain": "x"})
+    with pytest.raises(ConfigError, match=r"^secnd: .* did you mean 'second'\?"):
+        run(tmp_path, secnd={"gain": 1})
+    assert calls == []
+
+
+@pytest.mark.parametrize(
+    ("stages", "message"),
+    [
+        (["frist"], r"^stages: got 'frist', did you mean 'first'\? known: first, second"),
+        ([], r"^stages: got \[\]"),
+        ("first", r"^stages: got 'first', allowed: a list"),
+    ],
+)
+def test_stages_that_do_not_exist_are_refused_with_those_that_do(calls, stages, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        pipeline.selected(TREE | {"stages": stages})
+
+
+def test_every_output_has_its_provenance_and_its_marker(tmp_path, calls) -> None:
+    run(tmp_path)
+    provenance = artifacts.load(tmp_path / "one" / "provenance.json")
+    assert provenance["config"] == {"first": {"count": 2}, "seed": 1} and provenance["seed"] == 1
+    assert provenance["hardware"]["cores"] >= 1 and "numpy" in provenance["versions"]
+    assert str(tmp_path) not in json.dumps(provenance)
+    assert artifacts.load(tmp_path / "two" / "done.json")["inputs"].keys() == {"first"}
+
+
+def test_the_data_flow_reads_only_what_stages_before_it_write() -> None:
+    names = list(pipeline.STAGES)
+    for name, stage in pipeline.STAGES.items():
+        assert all(names.index(source) < names.index(name) for source in stage.reads)
+    assert len({stage.writes for stage in pipeline.STAGES.values()}) == len(names)
