@@ -1,0 +1,1 @@
+"""Networks, one fitting loop, and PPO. This floor knows arrays, not robots."""

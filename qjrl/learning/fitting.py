@@ -1,0 +1,254 @@
+"""The one fitting loop: any network, any arrays of inputs and targets.
+
+The data live on the device and one call runs one epoch. The order of the rows is a function of (seed, epoch)
+alone, so a fit that was interrupted and resumed equals one that was not, bit for bit.
+"""
+
+import dataclasses
+import hashlib
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from flax import linen, struct
+
+from qjrl import artifacts, progress
+from qjrl.config import Range, as_mapping
+from qjrl.learning import checkpoints as ckpt
+from qjrl.learning.divergence import TrainingDiverged
+
+Predict = Callable[[Any], jax.Array]
+Loss = Callable[[jax.Array, jax.Array], jax.Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class FitConfig:
+    """AdamW with a warm-up and a cosine. Defaults: ours; 8,000 rows, width 256: about 28 s on two idle cores."""
+
+    epochs: Annotated[int, Range(1)] = 60
+    """Passes over the data."""
+    batch_size: Annotated[int, Range(1)] = 256
+    """Rows in one gradient step; what does not fill the last batch of an epoch waits for another epoch."""
+    learning_rate: Annotated[float, Range(above=0, high=1)] = 3e-3
+    """Highest rate, reached after the warm-up; the cosine ends at 0."""
+    warmup_fraction: Annotated[float, Range(0, 1)] = 0.05
+    """Part of all steps in which the rate rises from 0."""
+    weight_decay: Annotated[float, Range(0, 10)] = 0.3
+    """Of AdamW. Ours: on 8,000 rows of a smooth function 0.3 gave a third of the held-out error of 1e-4."""
+    max_gradient_norm: Annotated[float, Range(above=0)] = 1.0
+    """Larger gradients are scaled down to this global norm."""
+    evaluate_every: Annotated[int, Range(1)] = 5
+    """Epochs between two evaluations; each writes a checkpoint and a line of `progress.jsonl`."""
+
+
+@struct.dataclass
+class FittedNetwork:
+    """What a prediction needs beside the network's structure. All float32."""
+
+    parameters: Any
+    output_mean: jax.Array
+    """(outputs,) mean of the training targets."""
+    output_std: jax.Array
+    """(outputs,) their standard deviation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FitResult:
+    """The best checkpoint of a fit."""
+
+    fitted: FittedNetwork
+    epoch: int
+    metrics: dict[str, float]
+    """What `evaluate` said of it."""
+
+
+@struct.dataclass
+class FitState:
+    """Everything that changes during a fit, and the key of its data order."""
+
+    parameters: Any
+    optimiser_state: Any
+    order_key: jax.Array
+
+
+@struct.dataclass
+class Rows:
+    """The training data on the device, float32."""
+
+    inputs: jax.Array
+    targets: jax.Array
+    """(rows, outputs), normalised."""
+
+
+def predict(network: linen.Module, fitted: FittedNetwork, inputs: Any) -> jax.Array:
+    """The network's answer in the units of the targets: (..., inputs) -> (..., outputs) float32."""
+    normalised: Any = network.apply({"params": fitted.parameters}, jnp.asarray(inputs, jnp.float32))
+    return normalised * fitted.output_std + fitted.output_mean
+
+
+def mean_squared_error(predicted: jax.Array, target: jax.Array) -> jax.Array:
+    """Mean over rows and columns, in normalised units."""
+    return jnp.mean(jnp.square(predicted - target))
+
+
+def fit(
+    config: FitConfig,
+    network: linen.Module,
+    data: tuple[Any, Any],
+    evaluate: Callable[[Predict], Mapping[str, float]],
+    minimise: str,
+    directory: Path,
+    seed: int,
+    loss: Loss = mean_squared_error,
+    label: str = "fit",
+) -> FitResult:
+    """Fits `network` to (inputs, targets); goes on where an earlier call in the same directory stopped.
+
+    Args:
+        data: inputs (rows, n), already scaled, and targets (rows, outputs), in any unit.
+        evaluate: held-out errors of a function (rows, n) -> (rows, outputs) in the targets' unit; called before the
+            first epoch too.
+        minimise: the metric of `evaluate` by which the best checkpoint is chosen.
+        directory: gets `checkpoints/` and `progress.jsonl`.
+        loss: scalar from predicted and target rows, both normalised by the training statistics of the targets.
+    Raises:
+        TrainingDiverged: the training loss is not finite.
+        ArtifactError: the directory holds a fit with another configuration or other data.
+    """
+    rows, mean, std = _prepare(*data)
+    steps_per_epoch = max(1, len(rows.inputs) // config.batch_size)
+    optimiser = make_optimiser(config, config.epochs * steps_per_epoch)
+    state = _initial_state(network, optimiser, rows, seed)
+    answer = jax.jit(lambda fitted, inputs: predict(network, fitted, inputs))
+    log = _Log(directory / "progress.jsonl")
+    identity = _identity(config, state, seed, data)
+
+    def evaluated(state: FitState, epoch: int, train_loss: float | None) -> dict[str, float]:
+        fitted = FittedNetwork(state.parameters, mean, std)
+        metrics = dict(evaluate(lambda inputs: answer(fitted, inputs)))
+        log.append(epoch, epoch * steps_per_epoch, train_loss, metrics)
+        return metrics
+
+    with ckpt.open_checkpoints(directory / "checkpoints", identity, minimise) as checkpoints:
+        done = checkpoints.latest_step()
+        log.rewind(done)
+        if done is None:
+            ckpt.save(checkpoints, 0, state, evaluated(state, 0, None))
+        else:
+            state = ckpt.restore(checkpoints, done, state)
+        with progress.compiling(f"one epoch of {label}"):
+            run_epoch = make_epoch(config.batch_size, network, optimiser, loss)
+        with progress.track(config.epochs, label, already=done or 0) as advance:
+            for epoch in range((done or 0) + 1, config.epochs + 1):
+                state, losses = run_epoch(state, rows, epoch)
+                train_loss = _checked(losses, epoch)
+                if epoch % config.evaluate_every == 0 or epoch == config.epochs:
+                    ckpt.save(checkpoints, epoch, state, evaluated(state, epoch, train_loss))
+                advance(1, note=log.note(minimise))
+        best = checkpoints.best_step()
+        fitted = FittedNetwork(ckpt.restore(checkpoints, best, state).parameters, mean, std)
+        return FitResult(fitted, best, dict(checkpoints.metrics(best)))
+
+
+def make_optimiser(config: FitConfig, num_steps: int) -> optax.GradientTransformation:
+    """AdamW behind a global-norm clip; the rate rises linearly, then follows a cosine to 0."""
+    warmup = round(config.warmup_fraction * num_steps)
+    schedule = optax.warmup_cosine_decay_schedule(
+        init_value=config.learning_rate if warmup == 0 else 0.0,
+        peak_value=config.learning_rate,
+        warmup_steps=warmup,
+        decay_steps=max(num_steps, warmup + 1),
+    )
+    adamw = optax.adamw(schedule, weight_decay=config.weight_decay)
+    return optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), adamw)
+
+
+def make_epoch(batch_size: int, network: linen.Module, optimiser: optax.GradientTransformation, loss: Loss) -> Any:
+    """The compiled epoch: (state, rows, epoch number) -> (state, losses (steps,)). The state is consumed."""
+
+    def step(state: FitState, batch: Rows) -> tuple[FitState, jax.Array]:
+        def batch_loss(parameters: Any) -> jax.Array:
+            predicted: Any = network.apply({"params": parameters}, batch.inputs)
+            return loss(predicted, batch.targets)
+
+        value, gradient = jax.value_and_grad(batch_loss)(state.parameters)
+        updates, optimiser_state = optimiser.update(gradient, state.optimiser_state, state.parameters)
+        parameters = optax.apply_updates(state.parameters, updates)
+        return dataclasses.replace(state, parameters=parameters, optimiser_state=optimiser_state), value
+
+    def epoch(state: FitState, rows: Rows, number: jax.Array) -> tuple[FitState, jax.Array]:
+        batches = epoch_order(state.order_key, number, len(rows.inputs), batch_size)
+        return jax.lax.scan(lambda carry, order: step(carry, jax.tree.map(lambda x: x[order], rows)), state, batches)
+
+    return jax.jit(epoch, donate_argnums=0)
+
+
+def epoch_order(key: jax.Array, epoch: jax.Array | int, num_rows: int, batch_size: int) -> jax.Array:
+    """Which rows make which batch of this epoch: (steps, batch) int32, a function of key and epoch alone."""
+    batch_size = min(batch_size, num_rows)
+    num_batches = num_rows // batch_size
+    order = jax.random.permutation(jax.random.fold_in(key, epoch), jnp.arange(num_rows, dtype=jnp.int32))
+    return order[: num_batches * batch_size].reshape(num_batches, batch_size)
+
+
+class _Log:
+    """`progress.jsonl`: one line an evaluation; `seconds` go on counting where an interrupted fit stopped."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.last: dict[str, Any] = {}
+        self.start = time.monotonic()
+
+    def rewind(self, done: int | None) -> None:
+        kept = ckpt.rewind_log(self.path, "epoch", -1 if done is None else done)
+        self.last = kept[-1] if kept else {}
+        self.start = time.monotonic() - self.last.get("seconds", 0.0)
+
+    def append(self, epoch: int, step: int, train_loss: float | None, metrics: Mapping[str, float]) -> None:
+        seconds = round(time.monotonic() - self.start, 3)
+        self.last = {"epoch": epoch, "step": step, "train_loss": train_loss, **metrics, "seconds": seconds}
+        artifacts.append_json_line(self.path, self.last)
+
+    def note(self, minimise: str) -> str:
+        return f"{minimise} {self.last[minimise]:.4g}"
+
+
+def _prepare(inputs: Any, targets: Any) -> tuple[Rows, jax.Array, jax.Array]:
+    """The rows on the device, targets normalised, and the mean and std they were normalised by.
+
+    The statistics are summed in float64: a mean of a million float32 poses would lose the micrometres.
+    """
+    if len(inputs) != len(targets) or len(inputs) == 0:
+        raise ValueError(f"inputs and targets: got {len(inputs)} and {len(targets)} rows, expected as many of both")
+    wide = np.asarray(targets, np.float64)
+    mean, std = wide.mean(axis=0), wide.std(axis=0)
+    std = np.where(std > 1e-12 * (1.0 + np.abs(mean)), std, 1.0)  # a constant column has no scale
+    rows = Rows(jnp.asarray(inputs, jnp.float32), jnp.asarray((wide - mean) / std, jnp.float32))
+    return rows, jnp.asarray(mean, jnp.float32), jnp.asarray(std, jnp.float32)
+
+
+def _initial_state(network: linen.Module, optimiser: optax.GradientTransformation, rows: Rows, seed: int) -> FitState:
+    parameter_key, order_key = jax.random.split(jax.random.key(seed))
+    parameters = jax.jit(network.init)(parameter_key, rows.inputs[:1])["params"]
+    return FitState(parameters, optimiser.init(parameters), order_key)
+
+
+def _identity(config: FitConfig, state: FitState, seed: int, data: tuple[Any, Any]) -> str:
+    """Two calls with the same identity compute the same fit."""
+    shapes = str(jax.tree.map(jnp.shape, state.parameters))
+    contents = [hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest() for array in data]
+    return artifacts.hash_of([as_mapping(config), shapes, seed, contents])
+
+
+def _checked(losses: jax.Array, epoch: int) -> float:
+    """The epoch's mean loss; the one place where the host waits for the device."""
+    mean = float(jnp.mean(losses))
+    if not math.isfinite(mean):
+        raise TrainingDiverged(f"the training loss of epoch {epoch} is {mean}; try a smaller learning_rate")
+    return mean

@@ -1,0 +1,1 @@
+"""PPO for any vector environment: asymmetric actor and critic, resumable, stepped from the host."""

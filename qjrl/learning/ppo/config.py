@@ -1,0 +1,65 @@
+"""The numbers of a PPO training."""
+
+import dataclasses
+from typing import Annotated, Literal
+
+from qjrl.config import Range
+
+Width = Annotated[int, Range(1, 8192)]
+
+
+@dataclasses.dataclass(frozen=True)
+class PPOConfig:
+    """Defaults are the customary ones of PPO (Schulman et al. 2017 and brax) unless a field says otherwise."""
+
+    num_steps: Annotated[int, Range(1)] = 400_000
+    """Environment steps in all, over all copies; rounded up to whole iterations."""
+    unroll_length: Annotated[int, Range(1, 10_000)] = 20
+    """Steps of every copy between two updates."""
+    num_epochs: Annotated[int, Range(1, 100)] = 4
+    """Passes over the collected steps in one update."""
+    num_minibatches: Annotated[int, Range(1, 1024)] = 8
+    """Gradient steps in one pass."""
+    discount: Annotated[float, Range(0, 1)] = 0.97
+    """Weight of the next step's value; 0.97 looks about 33 steps ahead."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Between one-step (0) and Monte-Carlo (1) advantages."""
+    reward_scaling: Annotated[float, Range(above=0)] = 1.0
+    """Factor on rewards inside the learner; the log shows unscaled rewards."""
+    clipping: Annotated[float, Range(above=0, high=1)] = 0.2
+    """Allowed relative change of an action's probability in one update."""
+    entropy_cost: Annotated[float, Range(0)] = 1e-3
+    """Reward for keeping the exploration alive; 0 switches it off."""
+    value_coefficient: Annotated[float, Range(0)] = 0.5
+    """Weight of the critic's loss."""
+    max_gradient_norm: Annotated[float, Range(above=0)] = 1.0
+    """Largest global gradient norm, of the actor and of the critic each, so that neither drowns the other."""
+    learning_rate: Annotated[float, Range(above=0, high=1)] = 3e-4
+    """Of Adam, at the start."""
+    learning_rate_schedule: Literal["constant", "linear", "adaptive_kl"] = "adaptive_kl"
+    """`linear` falls to 0 at the end; `adaptive_kl` follows `target_kl` after every gradient step (rsl_rl's rule)."""
+    target_kl: Annotated[float, Range(above=0)] = 0.01
+    """Divergence between old and new policy that `adaptive_kl` aims at."""
+    min_learning_rate: Annotated[float, Range(above=0, high=1)] = 1e-5
+    """Where `adaptive_kl` stops slowing down (rsl_rl)."""
+    max_learning_rate: Annotated[float, Range(above=0, high=1)] = 3e-3
+    """Where `adaptive_kl` stops speeding up. Ours: below rsl_rl's 1e-2, for small residuals."""
+    initial_std: Annotated[float, Range(0.002, 3)] = 0.3
+    """Exploration at the start, before the tanh. Ours: small, since a residual starts at zero."""
+    actor_layers: tuple[Width, ...] = (128, 128)
+    """Hidden layers of the policy."""
+    critic_layers: tuple[Width, ...] = (256, 256)
+    """Hidden layers of the value function."""
+    activation: Literal["swish", "elu", "tanh", "relu"] = "swish"
+    """Of both networks."""
+    observation_clip: Annotated[float, Range(above=0)] = 10.0
+    """Normalised observations are clipped to this many standard deviations."""
+    max_invalid_fraction: Annotated[float, Range(0, 1)] = 0.05
+    """Stop with `TrainingDiverged` when more of an iteration's steps are not finite or diverged."""
+    checkpoint_every: Annotated[int, Range(1)] = 10
+    """Iterations between two checkpoints (and evaluations)."""
+
+    def __post_init__(self) -> None:
+        if not self.min_learning_rate <= self.learning_rate <= self.max_learning_rate:
+            bounds = f"min_learning_rate {self.min_learning_rate} to max_learning_rate {self.max_learning_rate}"
+            raise ValueError(f"learning_rate: got {self.learning_rate}, allowed: from {bounds}")

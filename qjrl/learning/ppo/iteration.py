@@ -1,0 +1,149 @@
+"""One iteration of PPO, step by step: collect, take in the statistics, value what was cut off, update."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qjrl.learning.divergence import TrainingDiverged
+from qjrl.learning.ppo.brax_parts import PPONetworks
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.environment import CRITIC_KEY
+from qjrl.learning.ppo.normaliser import update_normaliser
+from qjrl.learning.ppo.rollout import Collected, Rollout, collect, make_act
+from qjrl.learning.ppo.training_state import Session, TrainingState
+from qjrl.learning.ppo.update import make_update
+
+Record = dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Compiled:
+    """The compiled functions of an iteration."""
+
+    act: Callable[..., Any]
+    update_normaliser: Callable[..., Any]
+    value: Callable[..., jax.Array]
+    update: Callable[..., Any]
+
+
+def compile_functions(networks: PPONetworks, config: PPOConfig) -> Compiled:
+    """Compilation itself happens at the first call of each."""
+    return Compiled(
+        act=make_act(networks),
+        update_normaliser=jax.jit(update_normaliser),
+        value=jax.jit(networks.value_network.apply),
+        update=make_update(networks, config),
+    )
+
+
+def run_iteration(
+    session: Session, compiled: Compiled, config: PPOConfig, num_iterations: int
+) -> tuple[Session, Record]:
+    """Collects one rollout and learns from it.
+
+    Returns:
+        The session after it, and its record for the log.
+    Raises:
+        TrainingDiverged: too many invalid steps, or a loss that is not finite.
+    """
+    start = time.perf_counter()
+    state = session.state
+    key_actions, key_update, key_next = jax.random.split(state.key, 3)
+    collected = _collect(session, compiled, config, key_actions)
+    record = session.episodes.summary() | _reward_record(collected.rollout)
+    collecting = time.perf_counter() - start
+    _check_validity(record, int(state.iteration) + 1, config)
+    state, losses = _learn(state, collected, compiled, config, num_iterations, key_update)
+    state = dataclasses.replace(state, key=key_next)
+    record |= {name: float(value) for name, value in losses.items()}  # waits for the device
+    _check_losses(record, int(state.iteration))
+    counts = {"iteration": int(state.iteration), "env_steps": int(state.env_steps)}
+    times = _times(time.perf_counter() - start, collecting, collected)
+    session = dataclasses.replace(session, state=state, observation=collected.observation)
+    return session, counts | record | times
+
+
+def _collect(session: Session, compiled: Compiled, config: PPOConfig, key: jax.Array) -> Collected:
+    state = session.state
+    parameters = state.learner.parameters["policy"]
+
+    def act(observation: Any, step: int) -> Any:
+        return compiled.act(parameters, state.normaliser, observation, key, step)
+
+    return collect(session.environment, act, session.observation, config.unroll_length, session.episodes)
+
+
+def _learn(
+    state: TrainingState,
+    collected: Collected,
+    compiled: Compiled,
+    config: PPOConfig,
+    num_iterations: int,
+    key: jax.Array,
+) -> tuple[TrainingState, dict[str, Any]]:
+    """The statistics first, as brax does, so that advantages and gradients see the same normalised observations."""
+    rollout = jax.device_put(collected.rollout)
+    normaliser = compiled.update_normaliser(state.normaliser, rollout.observation, rollout.valid)
+    final_values = value_of_cut_off(compiled.value, normaliser, state.learner.parameters["value"], collected)
+    learner = state.learner
+    if config.learning_rate_schedule == "linear":
+        rate = config.learning_rate * (1 - int(state.iteration) / num_iterations)
+        learner = dataclasses.replace(learner, learning_rate=jnp.float32(rate))
+    learner, losses = compiled.update(learner, normaliser, rollout, final_values, key)
+    state = dataclasses.replace(
+        state,
+        learner=learner,
+        normaliser=normaliser,
+        iteration=state.iteration + jnp.int32(1),
+        env_steps=state.env_steps + jnp.uint32(collected.rollout.reward.size),
+    )
+    return state, losses
+
+
+def value_of_cut_off(value: Callable[..., Any], normaliser: Any, parameters: Any, collected: Collected) -> np.ndarray:
+    """(steps, envs) float32: the critic's value of the final observation where an episode was truncated, else 0."""
+    num_steps, num_envs = collected.rollout.reward.shape
+    values = np.zeros((num_steps, num_envs), np.float32)
+    num_rows = len(collected.final_rows)
+    if num_rows:
+        # Whole multiples of the number of environments, so that few shapes are ever compiled.
+        room = -(-num_rows // num_envs) * num_envs
+        rows = np.pad(collected.final_rows, ((0, room - num_rows), (0, 0)))
+        values[collected.final_places] = np.asarray(value(normaliser, parameters, {CRITIC_KEY: rows}))[:num_rows]
+    return values
+
+
+def _reward_record(rollout: Rollout) -> Record:
+    num_valid, num_steps = int(rollout.valid.sum()), rollout.valid.size
+    reward = float(rollout.reward.sum(dtype=np.float64)) / num_valid if num_valid else None
+    return {"reward": reward, "invalid": num_steps - num_valid, "invalid_fraction": 1 - num_valid / num_steps}
+
+
+def _check_validity(record: Record, iteration: int, config: PPOConfig) -> None:
+    if record["invalid_fraction"] > config.max_invalid_fraction:
+        raise TrainingDiverged(
+            f"iteration {iteration}: {record['invalid_fraction']:.1%} of the steps diverged or were not finite, "
+            f"allowed: {config.max_invalid_fraction:.1%} (max_invalid_fraction)"
+        )
+
+
+def _check_losses(record: Record, iteration: int) -> None:
+    broken = [name for name in ("policy_loss", "value_loss", "entropy", "kl") if not math.isfinite(record[name])]
+    if broken:
+        raise TrainingDiverged(f"iteration {iteration}: {', '.join(broken)} not finite; try a smaller learning_rate")
+
+
+def _times(total: float, collecting: float, collected: Collected) -> Record:
+    """Where the time of an iteration went, in seconds; `act` is what collecting took beside the environment."""
+    return {
+        "steps_per_second": round(collected.rollout.reward.size / total, 1),
+        "environment_seconds": round(collected.environment_seconds, 4),
+        "act_seconds": round(collecting - collected.environment_seconds, 4),
+        "learning_seconds": round(total - collecting, 4),
+    }

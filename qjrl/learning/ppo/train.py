@@ -1,0 +1,123 @@
+"""The PPO loop: iterate, evaluate, write down; it goes on where it stopped."""
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+import orbax.checkpoint as ocp
+
+from qjrl import artifacts, progress
+from qjrl.config import as_mapping
+from qjrl.learning import checkpoints as ckpt
+from qjrl.learning.ppo.brax_parts import PPONetworks
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.environment import VectorEnv
+from qjrl.learning.ppo.episodes import EpisodeLog
+from qjrl.learning.ppo.iteration import Record, compile_functions, run_iteration
+from qjrl.learning.ppo.networks import make_networks
+from qjrl.learning.ppo.policy import Policy, load_policy, save_policy
+from qjrl.learning.ppo.training_state import Session, initial_state, policy_of, restore_session, save_session
+
+Evaluate = Callable[[Policy], Mapping[str, float]]
+
+POLICY, PROGRESS, CHECKPOINTS = "policy", "progress.jsonl", "checkpoints"
+
+
+def train(
+    environment: VectorEnv,
+    config: PPOConfig,
+    seed: int,
+    directory: Path,
+    evaluate: Evaluate | None = None,
+    minimise: str | None = None,
+    callbacks: Iterable[Callable[[Record], None]] = (),
+) -> Policy:
+    """Trains a policy; an interrupted training in the same directory goes on, bit for bit.
+
+    Args:
+        environment: reset here, or set back to the state of the latest checkpoint.
+        directory: gets `checkpoints/`, `progress.jsonl`, and the policy kept so far as `policy.npz` and `policy.json`.
+        evaluate: metrics of the deterministic policy, asked for before the first iteration and at every checkpoint;
+            in the records they are called `evaluation/NAME`. It must leave `environment` as it was.
+        minimise: the metric of `evaluate` by which the policy to keep is chosen; None: the latest is kept.
+        callbacks: called with every record of `progress.jsonl`.
+    Returns:
+        The policy kept.
+    Raises:
+        TrainingDiverged: too many invalid steps, or a loss that is not finite.
+        ArtifactError: the directory holds another training.
+    """
+    per_iteration, num_iterations = _sizes(config, environment)
+    networks = make_networks(config, environment.observation_sizes, environment.action_size)
+    callbacks = list(callbacks)
+
+    def write(record: Record) -> None:
+        artifacts.append_json_line(directory / PROGRESS, record)
+        for callback in callbacks:
+            callback(record)
+
+    def keep(session: Session, record: Record) -> None:
+        """Log first: after a crash in between, the resumed training writes the same line again."""
+        metrics = None if evaluate is None else dict(evaluate(policy_of(session.state, config)))
+        write(record | {f"evaluation/{name}": value for name, value in (metrics or {}).items()})
+        save_session(checkpoints, session, metrics)
+        _export_if_best(checkpoints, session, config, directory)
+
+    with ckpt.open_checkpoints(directory / CHECKPOINTS, _identity(config, environment, seed), minimise) as checkpoints:
+        session = _begin(checkpoints, networks, config, environment, seed, directory)
+        done = int(session.state.iteration)
+        if checkpoints.latest_step() is None:
+            keep(session, {"iteration": 0, "env_steps": 0})
+        with progress.compiling("the policy and its update"):
+            compiled = compile_functions(networks, config)
+        with progress.track(num_iterations * per_iteration, "policy", already=done * per_iteration) as advance:
+            for iteration in range(done + 1, num_iterations + 1):
+                session, record = run_iteration(session, compiled, config, num_iterations)
+                due = iteration % config.checkpoint_every == 0 or iteration == num_iterations
+                keep(session, record) if due else write(record)
+                advance(per_iteration, note=_note(record))
+    return load_policy(directory / POLICY)
+
+
+def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:
+    """Environment steps of one iteration, and number of iterations."""
+    per_iteration = config.unroll_length * environment.num_envs
+    if per_iteration < config.num_minibatches:
+        steps = f"unroll_length {config.unroll_length} x {environment.num_envs} environments"
+        raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
+    return per_iteration, -(-config.num_steps // per_iteration)
+
+
+def _begin(
+    checkpoints: ocp.CheckpointManager,
+    networks: PPONetworks,
+    config: PPOConfig,
+    environment: VectorEnv,
+    seed: int,
+    directory: Path,
+) -> Session:
+    """A new session, or the one of the latest checkpoint; the log is cut to where it begins."""
+    state = initial_state(networks, config, environment, seed)
+    session = Session(state, {}, environment, EpisodeLog(environment.num_envs))
+    done = checkpoints.latest_step()
+    ckpt.rewind_log(directory / PROGRESS, "iteration", -1 if done is None else done)
+    if done is None:
+        return Session(state, environment.reset(), environment, session.episodes)
+    session = restore_session(checkpoints, done, session)
+    _export_if_best(checkpoints, session, config, directory)
+    return session
+
+
+def _export_if_best(checkpoints: ocp.CheckpointManager, session: Session, config: PPOConfig, directory: Path) -> None:
+    """Writes the policy of the latest checkpoint if it is the one to keep."""
+    if checkpoints.best_step() == checkpoints.latest_step():
+        save_policy(directory / POLICY, policy_of(session.state, config))
+
+
+def _identity(config: PPOConfig, environment: VectorEnv, seed: int) -> str:
+    sizes = [environment.num_envs, environment.action_size, environment.observation_sizes]
+    return artifacts.hash_of([as_mapping(config), sizes, seed])
+
+
+def _note(record: Record) -> str:
+    shown = ((name, record.get(name)) for name in ("return", "reward", "std", "kl"))
+    return ", ".join(f"{name} {value:.3g}" for name, value in shown if value is not None)

@@ -1,0 +1,90 @@
+"""Everything a PPO training needs to go on bit for bit, and its way to disk and back."""
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import orbax.checkpoint as ocp
+from flax import struct
+
+from qjrl.learning import checkpoints as ckpt
+from qjrl.learning.ppo.brax_parts import PPONetworks
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv
+from qjrl.learning.ppo.episodes import EpisodeLog
+from qjrl.learning.ppo.networks import initial_parameters
+from qjrl.learning.ppo.normaliser import Normaliser, initial_normaliser
+from qjrl.learning.ppo.policy import Policy
+from qjrl.learning.ppo.update import Learner, make_learner
+
+
+@struct.dataclass
+class TrainingState:
+    """The learner's side. No leaf is float64."""
+
+    learner: Learner
+    normaliser: Normaliser
+    key: jax.Array
+    """Of the next iteration."""
+    iteration: jax.Array
+    """Iterations done, int32."""
+    env_steps: jax.Array
+    """Environment steps taken over all copies, uint32."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Session:
+    """The learner's side and the environment's."""
+
+    state: TrainingState
+    observation: Observation
+    """What the next action answers to."""
+    environment: VectorEnv
+    episodes: EpisodeLog
+
+
+def initial_state(networks: PPONetworks, config: PPOConfig, environment: VectorEnv, seed: int) -> TrainingState:
+    """The untrained state: its deterministic action is exactly zero."""
+    key_parameters, key = jax.random.split(jax.random.key(seed))
+    return TrainingState(
+        learner=make_learner(config, initial_parameters(networks, config.initial_std, key_parameters)),
+        normaliser=initial_normaliser(environment.observation_sizes),
+        key=key,
+        iteration=jnp.int32(0),
+        env_steps=jnp.uint32(0),
+    )
+
+
+def policy_of(state: TrainingState, config: PPOConfig) -> Policy:
+    """The actor by itself, on the host."""
+    layers = state.learner.parameters["policy"]["params"]
+    layers, mean, std = jax.device_get((layers, state.normaliser.mean, state.normaliser.std))
+    return Policy(
+        layers, mean[ACTOR_KEY], std[ACTOR_KEY], activation=config.activation, observation_clip=config.observation_clip
+    )
+
+
+def save_session(checkpoints: ocp.CheckpointManager, session: Session, metrics: dict[str, float] | None) -> None:
+    """Writes a checkpoint of both sides."""
+    parts = {
+        "environment": session.environment.get_state(),
+        "observation": session.observation,
+        "episodes": session.episodes.get_state(),
+    }
+    flat = {f"{part}/{name}": np.asarray(array) for part, arrays in parts.items() for name, array in arrays.items()}
+    ckpt.save(checkpoints, int(session.state.iteration), session.state, metrics, flat)
+
+
+def restore_session(checkpoints: ocp.CheckpointManager, step: int, session: Session) -> Session:
+    """Both sides of a checkpoint; `session` gives the shapes, and its environment is set back in place."""
+    flat = ckpt.restore_environment(checkpoints, step)
+    parts: dict[str, dict[str, Any]] = {"environment": {}, "observation": {}, "episodes": {}}
+    for name, array in flat.items():
+        part, _, rest = name.partition("/")
+        parts[part][rest] = array
+    session.environment.set_state(parts["environment"])
+    session.episodes.set_state(parts["episodes"])
+    state = ckpt.restore(checkpoints, step, session.state)
+    return dataclasses.replace(session, state=state, observation=parts["observation"])

@@ -1,0 +1,123 @@
+"""One PPO update: advantages once, then epochs of minibatches, compiled as a whole."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from flax import struct
+
+from qjrl.learning.ppo.advantages import advantages_and_returns
+from qjrl.learning.ppo.brax_parts import PPONetworks
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.environment import CRITIC_KEY
+from qjrl.learning.ppo.loss import Batch, ppo_loss
+from qjrl.learning.ppo.normaliser import Normaliser
+from qjrl.learning.ppo.rollout import Rollout
+
+
+@struct.dataclass
+class Learner:
+    """What the gradient steps change."""
+
+    parameters: dict[str, Any]
+    """"policy" and "value"."""
+    optimiser_state: Any
+    learning_rate: jax.Array
+
+
+def make_learner(config: PPOConfig, parameters: dict[str, Any]) -> Learner:
+    """A learner that has not learned anything yet."""
+    return Learner(parameters, optax.scale_by_adam().init(parameters), jnp.float32(config.learning_rate))
+
+
+def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple[Learner, dict[str, jax.Array]]]:
+    """The compiled update: (learner, normaliser, rollout, final values, key) -> (learner, metrics).
+
+    The learner that goes in is consumed.
+    """
+
+    def update(
+        learner: Learner, normaliser: Normaliser, rollout: Rollout, final_values: jax.Array, key: jax.Array
+    ) -> tuple[Learner, dict[str, jax.Array]]:
+        batch, batch_metrics = _batch(networks, config, learner.parameters, normaliser, rollout, final_values)
+        key_order, key_entropy = jax.random.split(key)
+        order = _minibatches(config, batch.weight.shape[0], key_order)
+        keys = jax.random.split(key_entropy, order.shape[0])
+
+        def step(learner: Learner, inputs: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
+            rows, key = inputs
+            minibatch = jax.tree.map(lambda x: x[rows], batch)
+            gradient, metrics = jax.grad(ppo_loss, has_aux=True)(
+                learner.parameters, normaliser, minibatch, key, networks, config
+            )
+            return gradient_step(config, learner, gradient, metrics["kl"]), metrics
+
+        learner, metrics = jax.lax.scan(step, learner, (order, keys))
+        means = {name: jnp.mean(values) for name, values in metrics.items()}
+        return learner, means | batch_metrics | {"kl": metrics["kl"][-1], "learning_rate": learner.learning_rate}
+
+    return jax.jit(update, donate_argnums=0)
+
+
+def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any], kl: jax.Array) -> Learner:
+    """One step of Adam; the rate follows the divergence first where the schedule says so."""
+    rate = learner.learning_rate
+    if config.learning_rate_schedule == "adaptive_kl":
+        rate = adapted_rate(config, rate, kl)
+    clip = optax.clip_by_global_norm(config.max_gradient_norm)
+    clipped = {name: clip.update(part, optax.EmptyState())[0] for name, part in gradient.items()}
+    direction, optimiser_state = optax.scale_by_adam().update(clipped, learner.optimiser_state)
+    parameters = jax.tree.map(lambda old, change: old - rate * change, learner.parameters, direction)
+    return Learner(parameters, optimiser_state, rate)
+
+
+def adapted_rate(config: PPOConfig, rate: jax.Array, kl: jax.Array) -> jax.Array:
+    """Slower where the policy moves twice as far as wanted, faster where half as far. Rule and factor: rsl_rl's."""
+    slower, faster = rate / 1.5, rate * 1.5
+    rate = jnp.where(kl > 2 * config.target_kl, slower, jnp.where(kl < config.target_kl / 2, faster, rate))
+    return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)
+
+
+def _batch(
+    networks: PPONetworks,
+    config: PPOConfig,
+    parameters: Any,
+    normaliser: Any,
+    rollout: Rollout,
+    final_values: jax.Array,
+) -> tuple[Batch, dict[str, jax.Array]]:
+    """The rollout as rows, (steps * envs, ...), with advantages normalised over its valid rows."""
+    values = networks.value_network.apply(normaliser, parameters["value"], rollout.observation)
+    last_value = networks.value_network.apply(normaliser, parameters["value"], {CRITIC_KEY: rollout.last_observation})
+    scaled = dataclasses.replace(rollout, reward=rollout.reward * config.reward_scaling)
+    advantages, returns = advantages_and_returns(
+        scaled, values, last_value, final_values, config.discount, config.gae_lambda
+    )
+    weight = rollout.valid.astype(jnp.float32)
+    mean, variance = _moments(advantages, weight)
+    fields = {name: getattr(rollout, name) for name in ("observation", "raw_action", "logits", "log_probability")}
+    batch = Batch(**fields, advantage=(advantages - mean) / jnp.sqrt(variance + 1e-8), returns=returns, weight=weight)
+    explained = 1 - _moments(returns - values, weight)[1] / jnp.maximum(_moments(returns, weight)[1], 1e-8)
+    rows = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), batch)
+    return rows, {"explained_variance": explained, "value": _moments(values, weight)[0]}
+
+
+def _minibatches(config: PPOConfig, num_rows: int, key: jax.Array) -> jax.Array:
+    """(epochs * minibatches, rows) int32: every epoch in another order; what does not divide evenly is left out."""
+    size = num_rows // config.num_minibatches
+
+    def order(key: jax.Array) -> jax.Array:
+        rows = jax.random.permutation(key, jnp.arange(num_rows, dtype=jnp.int32))
+        return rows[: size * config.num_minibatches].reshape(config.num_minibatches, size)
+
+    return jax.vmap(order)(jax.random.split(key, config.num_epochs)).reshape(-1, size)
+
+
+def _moments(rows: jax.Array, weight: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Mean and variance of the rows of weight 1."""
+    count = jnp.maximum(jnp.sum(weight), 1.0)
+    mean = jnp.sum(weight * rows) / count
+    return mean, jnp.sum(weight * jnp.square(rows - mean)) / count
