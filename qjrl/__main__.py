@@ -93,6 +93,7 @@ def _launch(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come here instead of being printed by Hydra
     outcomes: list[str] = []
     is_sweep = bool({"-m", "--multirun"} & set(arguments))
+    arguments = ["--multirun"] * is_sweep + [text for text in arguments if text not in ("-m", "--multirun")]
     since = time.time()
     try:
         sweep_dir, pinned = _pinned_sweep(arguments) if is_sweep else (None, [])

@@ -57,7 +57,7 @@ STAGES: dict[str, Stage] = {
     "ik": Stage(
         "qjrl.stages.ik",
         "invert the model, settle every answer, write the target bank",
-        reads=("sample", "forward_model"),
+        reads=("forward_model",),
         writes="ik",
     ),
     "policy": Stage(

@@ -1,0 +1,247 @@
+"""The command as a user meets it: exit code, and what it says. In this process where that is enough, to save time."""
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from qjrl import artifacts, config, pipeline
+from qjrl.__main__ import main
+
+ROOT = Path(__file__).parent.parent
+
+
+@dataclasses.dataclass
+class Said:
+    """What a command left behind."""
+
+    code: int
+    out: str
+    err: str
+
+
+Command = Callable[..., Said]
+
+
+@pytest.fixture
+def qjrl(tmp_path, monkeypatch, capsys) -> Command:
+    """The command, in an empty folder; the environment it sets is forgotten afterwards."""
+    for name in ("HYDRA_FULL_ERROR", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR", "MUJOCO_GL"):
+        monkeypatch.setenv(name, os.environ.get(name, ""))
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.chdir(tmp_path)
+
+    def command(*arguments: str) -> Said:
+        monkeypatch.setattr(sys, "argv", ["qjrl", *arguments])
+        code = main()
+        return Said(code, *capsys.readouterr())
+
+    return command
+
+
+@pytest.fixture
+def two_stages(qjrl, monkeypatch) -> Command:
+    """The command with two small stages in place of the real ones; they take the whole configuration as it is."""
+
+    def count(config: Any, inputs: dict[str, Path], out: Path) -> None:
+        if config.seed == 13:
+            raise RuntimeError("thirteen")
+        artifacts.write_json(out / "metrics.json", {"tip": {"median_mm": config.seed / 2}})
+
+    entries = [
+        entry for entry in config.read_yaml(config.conf_folder() / "config.yaml")["defaults"] if entry != "_self_"
+    ]
+    groups = [name for entry in entries for name in entry if "override" not in name]
+    fake = ModuleType("fake")
+    fake.__dict__.update(
+        run=count, Config=dataclasses.make_dataclass("Config", [*((name, dict) for name in groups), ("seed", int)])
+    )
+    monkeypatch.setitem(sys.modules, "fake", fake)
+    stages = {
+        "sample": pipeline.Stage("fake", "first", writes="dataset"),
+        "compare": pipeline.Stage("fake", "second", reads=("sample",), writes="compare"),
+    }
+    monkeypatch.setattr(pipeline, "STAGES", stages)
+    return lambda *arguments: qjrl("stages=[sample,compare]", *arguments)
+
+
+def in_a_process(program: list[str], folder: Path) -> "subprocess.Popen[str]":
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [sys.executable, *program], cwd=folder, env=environment, text=True, stdout=pipe, stderr=pipe
+    )
+
+
+def assert_one_line(said: Said, *words: str) -> None:
+    assert said.code == 2, said.err
+    assert len(said.err.splitlines()) == 1, said.err
+    assert "Traceback" not in said.out + said.err
+    for word in words:
+        assert word in said.err
+
+
+def test_help_answers_at_once_with_stages_groups_and_examples(tmp_path) -> None:
+    start = time.monotonic()
+    with in_a_process(["-m", "qjrl", "--help"], tmp_path) as process:
+        out, _ = process.communicate()
+    assert time.monotonic() - start < 3.0  # under one second on an idle machine
+    assert process.returncode == 0
+    for word in ("sample", "describe", "qj_2222*", "+experiment", "robot=my_arm.yaml"):
+        assert word in out
+
+
+def test_help_imports_neither_jax_nor_mujoco(tmp_path) -> None:
+    program = "import sys; sys.argv[1:] = ['--help']; from qjrl.__main__ import main; main(); print(*sys.modules)"
+    with in_a_process(["-c", program], tmp_path) as process:
+        modules = set(process.communicate()[0].split())
+    assert "qjrl.pipeline" in modules
+    assert not modules & {"jax", "mujoco", "brax", "hydra", "matplotlib"}
+
+
+def test_a_mistake_in_a_process_of_its_own_is_one_line_on_stderr(tmp_path) -> None:
+    with in_a_process(["-m", "qjrl", "stages=[smaple]"], tmp_path) as process:
+        out, error = process.communicate()
+    assert_one_line(Said(process.returncode, out, error), "stages: got 'smaple'", "did you mean 'sample'?")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["stages=[smaple]"], ["stages", "'smaple'", "did you mean 'sample'"]),
+        (["stages=sample"], ["stages", "'sample'", "a list"]),
+        (["seeed=3"], ["seeed", "3", "did you mean 'seed'"]),
+        (["nothing.at.all=3"], ["nothing", "no such key", "seed"]),
+        (["robot.joint.pin_distanc=3"], ["robot.joint.pin_distanc", "3", "did you mean 'pin_distance'"]),
+        (["robot=qj_2223"], ["robot", "'qj_2223'", "did you mean 'qj_2222'"]),
+        (["robot=nowhere/arm.yaml"], ["nowhere/arm.yaml", "cannot be read"]),
+        (["+experiment=smok"], ["experiment", "'smok'"]),
+        (["experiment=smoke"], ["+experiment=smoke"]),
+        (["seed=[1"], ["seed=[1"]),
+        (["nonsense"], ["nonsense"]),
+        (["seed=1,2"], ["seed=1,2", "--multirun"]),
+        (["-m", "seed=1,2", "seeed=1"], ["seeed", "did you mean 'seed'"]),
+        (["robot=3"], ["group", "int"]),
+    ],
+    ids=" ".join,
+)
+def test_a_mistake_on_the_command_line_is_one_line_and_exit_code_2(qjrl, arguments, words) -> None:
+    assert_one_line(qjrl(*arguments), *words)
+
+
+@pytest.mark.parametrize("content", ["a: [1", "- 1\n- 2\n", ""])
+def test_a_robot_file_that_is_not_a_mapping_is_one_line(qjrl, tmp_path, content) -> None:
+    (tmp_path / "my_arm.yaml").write_text(content)
+    assert_one_line(qjrl("robot=my_arm.yaml"), "my_arm.yaml")
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("+seeed=3", ["seeed: got 3", "did you mean 'seed'"]),
+        ("seed=one", ["seed: got 'one'", "an integer"]),
+        ("seed=1.5", ["seed: got 1.5", "an integer"]),
+        ("robot.link_length=-0.03", ["robot.link_length: got -0.03", "at least 0"]),
+        ("robot.joints_per_segment=[]", ["robot.joints_per_segment: got []"]),
+        ("robot.joint.bend_limit_deg=90", ["robot.joint.bend_limit_deg: got 90"]),
+        ("robot.cables.hole_angles_deg=[[0,90],[0,90],[22.5,112.5],[67.5,157.5]]", ["robot.cables.hole_angles_deg"]),
+        ("+robot.colour=red", ["robot.colour: got 'red'", "no such key"]),
+        ("robot.kind=snake", ["robot.kind: got 'snake'", "quaternion_arm"]),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_one_line_before_any_work(two_stages, tmp_path, override, words) -> None:
+    assert_one_line(two_stages(override), *words)
+    assert not list(tmp_path.rglob("dataset"))
+
+
+def test_a_run_says_where_it_is_and_the_same_command_again_skips_it(two_stages, tmp_path) -> None:
+    first = two_stages("name=mine")
+    assert first.code == 0, first.err
+    assert "outputs/mine" in first.out
+    again = two_stages("name=mine")
+    assert again.out.count("skipped") == 2
+    summary = json.loads((tmp_path / "outputs" / "mine" / "summary.json").read_text())
+    assert summary["status"] == "done"
+    assert "name=mine" in summary["overrides"]
+
+
+def test_a_robot_may_come_from_a_file(two_stages, tmp_path) -> None:
+    text = (ROOT / "conf" / "robot" / "qj_2222.yaml").read_text()
+    (tmp_path / "arms").mkdir()
+    for name in ("my arm.yaml", "qj_2222.yaml"):  # a space; the name of a shipped one
+        (tmp_path / "arms" / name).write_text(text.replace("link_length: 0.03", "link_length: 0.04"))
+    for value in ("'arms/my arm.yaml'", "arms/qj_2222.yaml", str(tmp_path / "arms" / "qj_2222.yaml")):
+        result = two_stages(f"robot={value}", "name=mine")
+        assert result.code == 0, result.err
+        provenance = json.loads((tmp_path / "outputs" / "mine" / "dataset" / "provenance.json").read_text())
+        assert provenance["config"]["robot"]["link_length"] == 0.04
+    (tmp_path / "arms" / "bad.yaml").write_text(text + "\ncolour: red\n")
+    assert_one_line(two_stages("robot=arms/bad.yaml"), "robot.colour: got 'red'")
+
+
+def test_a_failure_that_nobody_foresaw_keeps_its_traceback(two_stages) -> None:
+    result = two_stages("seed=13")
+    assert result.code == 1
+    assert "RuntimeError: thirteen" in result.err
+
+
+def test_a_sweep_ends_with_one_table_and_fails_if_a_job_does(two_stages, tmp_path) -> None:
+    (tmp_path / "my_arm.yaml").write_text((ROOT / "conf" / "robot" / "qj_2222.yaml").read_text())
+    result = two_stages("-m", "seed=1,2", "robot=qj_2222,my_arm.yaml", "name=both")
+    assert result.code == 0, result.err
+    rows = json.loads((tmp_path / "outputs" / "both" / "sweep.json").read_text())
+    assert [row["job"] for row in rows] == [
+        f"robot={arm},seed={seed}" for arm in ("my_arm", "qj_2222") for seed in (1, 2)
+    ]
+    assert [row["metrics"]["tip.median_mm"] for row in rows] == [0.5, 1.0, 0.5, 1.0]
+    assert "robot=my_arm,seed=2" in result.out
+    table = (tmp_path / "outputs" / "both" / "sweep.csv").read_text().splitlines()
+    assert len(table) == 5
+
+    result = two_stages("-m", "seed=1,13,one", "name=bad")
+    assert result.code == 1
+    rows = {row["job"]: row for row in json.loads((tmp_path / "outputs" / "bad" / "sweep.json").read_text())}
+    assert {job: row["status"] for job, row in rows.items()} == {
+        "seed=1": "done",
+        "seed=13": "failed",
+        "seed=one": "bad input",
+    }
+    assert "thirteen" in rows["seed=13"]["error"]
+    assert "thirteen" in result.out
+
+
+WAITING = """
+import sys, time
+from qjrl import pipeline
+from qjrl.__main__ import main
+
+def wait(*_):
+    print("waiting", flush=True)
+    time.sleep(60)
+
+pipeline.build_configs = lambda tree: None
+pipeline.run = wait
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_says_how_to_go_on(tmp_path) -> None:
+    with in_a_process(["-c", WAITING, "stages=[sample]", "seed=99"], tmp_path) as process:
+        assert process.stdout is not None
+        while "waiting" not in process.stdout.readline():
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert error.strip() == "interrupted; to go on: qjrl 'stages=[sample]' seed=99"
+    summary = json.loads((tmp_path / "outputs" / "default" / "summary.json").read_text())
+    assert summary["status"] == "interrupted"
