@@ -122,16 +122,15 @@ def fit(
         ArtifactError: the directory holds a fit with another configuration or other data.
     """
     rows, mean, std = _prepare(*data)
-    steps_per_epoch = max(1, len(rows.inputs) // config.batch_size)
-    optimiser = make_optimiser(config, config.epochs * steps_per_epoch)
-    state = _initial_state(network, optimiser, rows, seed)
-    answer = jax.jit(lambda fitted, inputs: predict(network, fitted, inputs))
+    steps_per_epoch = _steps_per_epoch(config, len(rows.inputs))
+    state = _initial_state(config, network, rows, seed)
+    answer = jax.jit(predict, static_argnums=0)
     log = _Log(directory / "progress.jsonl")
     identity = _identity(config, state, seed, data)
 
     def evaluated(state: FitState, epoch: int, train_loss: float | None) -> dict[str, float]:
         fitted = FittedNetwork(state.parameters, mean, std)
-        metrics = dict(evaluate(lambda inputs: answer(fitted, inputs)))
+        metrics = dict(evaluate(lambda inputs: answer(network, fitted, inputs)))
         log.append(epoch, epoch * steps_per_epoch, train_loss, metrics)
         return metrics
 
@@ -143,10 +142,10 @@ def fit(
         else:
             state = ckpt.restore(checkpoints, done, state)
         with progress.compiling(f"one epoch of {label}"):
-            run_epoch = make_epoch(config.batch_size, network, optimiser, loss)
+            run_epoch = jax.jit(train_epoch, static_argnums=(0, 1, 2), donate_argnums=3)
         with progress.track(config.epochs, label, already=done or 0) as advance:
             for epoch in range((done or 0) + 1, config.epochs + 1):
-                state, losses = run_epoch(state, rows, epoch)
+                state, losses = run_epoch(config, network, loss, state, rows, epoch)
                 train_loss = _checked(losses, epoch)
                 if epoch % config.evaluate_every == 0 or epoch == config.epochs:
                     ckpt.save(checkpoints, epoch, state, evaluated(state, epoch, train_loss))
@@ -154,6 +153,23 @@ def fit(
         best = checkpoints.best_step()
         fitted = FittedNetwork(ckpt.restore(checkpoints, best, state).parameters, mean, std)
         return FitResult(fitted, best, dict(checkpoints.metrics(best)))
+
+
+def train_epoch(
+    config: FitConfig, network: linen.Module, loss: Loss, state: FitState, rows: Rows, epoch: jax.Array
+) -> tuple[FitState, jax.Array]:
+    """One pass over the rows: the state after it, and the losses of its steps, (steps,)."""
+    num_rows = len(rows.inputs)
+    optimiser = make_optimiser(config, config.epochs * _steps_per_epoch(config, num_rows))
+
+    def step(state: FitState, order: jax.Array) -> tuple[FitState, jax.Array]:
+        batch = jax.tree.map(lambda column: column[order], rows)
+        value, gradient = jax.value_and_grad(_batch_loss)(state.parameters, network, loss, batch)
+        updates, optimiser_state = optimiser.update(gradient, state.optimiser_state, state.parameters)
+        parameters = optax.apply_updates(state.parameters, updates)
+        return dataclasses.replace(state, parameters=parameters, optimiser_state=optimiser_state), value
+
+    return jax.lax.scan(step, state, epoch_order(state.order_key, epoch, num_rows, config.batch_size))
 
 
 def make_optimiser(config: FitConfig, num_steps: int) -> optax.GradientTransformation:
@@ -169,32 +185,21 @@ def make_optimiser(config: FitConfig, num_steps: int) -> optax.GradientTransform
     return optax.chain(optax.clip_by_global_norm(config.max_gradient_norm), adamw)
 
 
-def make_epoch(batch_size: int, network: linen.Module, optimiser: optax.GradientTransformation, loss: Loss) -> Any:
-    """The compiled epoch: (state, rows, epoch number) -> (state, losses (steps,)). The state is consumed."""
-
-    def step(state: FitState, batch: Rows) -> tuple[FitState, jax.Array]:
-        def batch_loss(parameters: Any) -> jax.Array:
-            predicted: Any = network.apply({"params": parameters}, batch.inputs)
-            return loss(predicted, batch.targets)
-
-        value, gradient = jax.value_and_grad(batch_loss)(state.parameters)
-        updates, optimiser_state = optimiser.update(gradient, state.optimiser_state, state.parameters)
-        parameters = optax.apply_updates(state.parameters, updates)
-        return dataclasses.replace(state, parameters=parameters, optimiser_state=optimiser_state), value
-
-    def epoch(state: FitState, rows: Rows, number: jax.Array) -> tuple[FitState, jax.Array]:
-        batches = epoch_order(state.order_key, number, len(rows.inputs), batch_size)
-        return jax.lax.scan(lambda carry, order: step(carry, jax.tree.map(lambda x: x[order], rows)), state, batches)
-
-    return jax.jit(epoch, donate_argnums=0)
-
-
 def epoch_order(key: jax.Array, epoch: jax.Array | int, num_rows: int, batch_size: int) -> jax.Array:
     """Which rows make which batch of this epoch: (steps, batch) int32, a function of key and epoch alone."""
     batch_size = min(batch_size, num_rows)
     num_batches = num_rows // batch_size
     order = jax.random.permutation(jax.random.fold_in(key, epoch), jnp.arange(num_rows, dtype=jnp.int32))
     return order[: num_batches * batch_size].reshape(num_batches, batch_size)
+
+
+def _batch_loss(parameters: Any, network: linen.Module, loss: Loss, batch: Rows) -> jax.Array:
+    predicted: Any = network.apply({"params": parameters}, batch.inputs)
+    return loss(predicted, batch.targets)
+
+
+def _steps_per_epoch(config: FitConfig, num_rows: int) -> int:
+    return max(1, num_rows // config.batch_size)
 
 
 class _Log:
@@ -233,10 +238,11 @@ def _prepare(inputs: Any, targets: Any) -> tuple[Rows, jax.Array, jax.Array]:
     return rows, jnp.asarray(mean, jnp.float32), jnp.asarray(std, jnp.float32)
 
 
-def _initial_state(network: linen.Module, optimiser: optax.GradientTransformation, rows: Rows, seed: int) -> FitState:
+def _initial_state(config: FitConfig, network: linen.Module, rows: Rows, seed: int) -> FitState:
     parameter_key, order_key = jax.random.split(jax.random.key(seed))
     parameters = jax.jit(network.init)(parameter_key, rows.inputs[:1])["params"]
-    return FitState(parameters, optimiser.init(parameters), order_key)
+    # The optimiser's state does not depend on how many steps its schedule has.
+    return FitState(parameters, make_optimiser(config, 1).init(parameters), order_key)
 
 
 def _identity(config: FitConfig, state: FitState, seed: int, data: tuple[Any, Any]) -> str:

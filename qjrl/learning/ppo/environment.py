@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class Transition:
     """Name -> (num_envs,), for the log only; the same names at every step."""
 
 
+@runtime_checkable
 class VectorEnv(Protocol):
     """`num_envs` copies of an environment that reset themselves.
 

@@ -20,7 +20,7 @@ Reward = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def a_sign(rng: np.random.Generator, time: int) -> np.ndarray:
     """-1 or 1."""
     del time
-    return rng.choice(np.float32([-1, 1]), NUM_ENVS)
+    return rng.choice(np.array([-1, 1], np.float32), NUM_ENVS)
 
 
 def nothing(rng: np.random.Generator, time: int) -> np.ndarray:
@@ -63,10 +63,11 @@ class ProbeEnvironment:
         return Transition(observation, reward, terminated, truncated, final, valid, {"size": np.abs(reward)})
 
     def get_state(self) -> dict[str, np.ndarray]:
-        return {"count": np.int64(self.count), "time": np.int64(self.time), "seen": self.seen, "none": np.zeros((0, 2))}
+        return {"counters": np.array([self.count, self.time]), "seen": self.seen, "none": np.zeros((0, 2))}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        self.count, self.time, self.seen = int(state["count"]), int(state["time"]), state["seen"]
+        self.count, self.time = (int(counter) for counter in state["counters"])
+        self.seen = state["seen"]
 
     def _observation(self) -> dict[str, np.ndarray]:
         self.count += 1

@@ -42,13 +42,13 @@ def learn():
         return session.state
 
     def values(state, *observations):
-        rows = {"privileged_state": np.float32(observations)[:, None]}
+        rows = {"privileged_state": np.array(observations, np.float32)[:, None]}
         return np.asarray(compiled.value(state.normaliser, state.learner.parameters["value"], rows))
 
     def actions(state, *observations):
-        return np.asarray(jax.jit(deterministic_action)(policy_of(state, CONFIG), np.float32(observations)[:, None]))[
-            :, 0
-        ]
+        return np.asarray(
+            jax.jit(deterministic_action)(policy_of(state, CONFIG), np.array(observations, np.float32)[:, None])
+        )[:, 0]
 
     return train, values, actions
 
