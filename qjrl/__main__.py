@@ -6,6 +6,7 @@ The only file that knows hydra, the process environment and exit codes: 0 done, 
 import ctypes
 import logging
 import os
+import platform
 import shlex
 import sys
 import tempfile
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from qjrl import __version__, pipeline, progress, sweep
-from qjrl.artifacts import ArtifactError
+from qjrl.artifacts import ArtifactError, hash_of
 from qjrl.config import ConfigError, conf_folder, known_names, read_yaml, unknown_key
 
 HELP = """\
@@ -43,6 +44,9 @@ Examples
 
 The same command again skips what is done and goes on where it was interrupted.
 """
+
+HEADLINE = "position_median_mm"
+"""The metrics that the table of a sweep shows; all of them are in its files."""
 
 
 def main() -> int:
@@ -154,7 +158,7 @@ def _prepare_process() -> None:
     """What must be set before jax and mujoco are imported, in this process or in a launcher's worker."""
     os.environ["JAX_ENABLE_X64"] = "1"
     os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qjrl" / "jax"
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qjrl" / f"jax-{_instruction_set()}"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
         os.environ["MUJOCO_GL"] = _headless_renderer()
@@ -162,6 +166,16 @@ def _prepare_process() -> None:
     logger.setLevel(logging.INFO)
     logger.propagate = False
     logger.handlers = [_ConsoleHandler()]
+
+
+def _instruction_set() -> str:
+    """A short name of what this CPU can execute: compiled code must not reach a lesser one through a shared home."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    flags = [line for line in lines if line.startswith(("flags", "Features"))]
+    return hash_of(flags[:1] or platform.machine())[:8]
 
 
 def _headless_renderer() -> str:
@@ -256,9 +270,12 @@ def _finish_sweep(sweep_dir: Path, since: float) -> int:
 
     rows = sweep.gather(sweep_dir, since)
     sweep.write(sweep_dir, rows)
-    table = Table("job", "status", "time [s]", title=f"sweep in {sweep_dir}")
+    shown = list(dict.fromkeys(key for row in rows for key in row["metrics"] if key.endswith(HEADLINE)))
+    headers = [key.removesuffix(HEADLINE).strip(".").replace(".", "\n") + " [mm]" for key in shown]
+    table = Table("job", "status", "time [s]", *headers, title=f"{sweep_dir}: median position errors")
     for row in rows:
-        table.add_row(row["job"], row["error"] or row["status"], f"{row['seconds'] or float('nan'):.0f}")
+        errors = [f"{row['metrics'][key]:.3f}" if key in row["metrics"] else "" for key in shown]
+        table.add_row(row["job"], row["error"] or row["status"], f"{row['seconds'] or float('nan'):.0f}", *errors)
     progress.console.print(table)
     return 0 if all(row["status"] == "done" for row in rows) else 1
 

@@ -7,10 +7,12 @@ A stage is a module with a frozen dataclass `Config`, whose fields are top-level
 """
 
 import dataclasses
+import fcntl
 import importlib
 import logging
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -116,8 +118,9 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
         configs: stage name -> its Config, from `build_configs`.
         run_dir: where the stages' directories are or will be.
     """
-    for name in in_order(names):
-        _run_stage(name, configs[name], run_dir)
+    with _alone_in(run_dir):
+        for name in in_order(names):
+            _run_stage(name, configs[name], run_dir)
 
 
 def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,6 +140,20 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
     for config in configs.values():
         _robot_hash(config)
     return configs
+
+
+@contextmanager
+def _alone_in(run_dir: Path) -> Iterator[None]:
+    """Two runs in one directory would move each other's output away."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    with open(run_dir / ".lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise ArtifactError(
+                f"{run_dir}: another run is at work here; wait for it or choose another name="
+            ) from error
+        yield
 
 
 def _part(tree: Mapping[str, Any], kind: type) -> dict[str, Any]:

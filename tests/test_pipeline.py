@@ -1,4 +1,5 @@
 import dataclasses
+import fcntl
 import json
 import sys
 from pathlib import Path
@@ -111,6 +112,15 @@ def test_an_input_that_is_missing_or_unfinished_is_one_line_that_says_what_to_ru
     with pytest.raises(ArtifactError, match="is not finished"):
         run(tmp_path, stages=["second"])
     assert not (tmp_path / "two").exists()
+
+
+def test_a_second_run_in_the_same_directory_is_refused(tmp_path, calls) -> None:
+    with open(tmp_path / ".lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with pytest.raises(ArtifactError, match="another run is at work here"):
+            run(tmp_path)
+    run(tmp_path)
+    assert calls == ["first", "second"]
 
 
 def test_the_whole_configuration_is_checked_before_any_work(tmp_path, calls) -> None:
