@@ -266,16 +266,18 @@ def _pinned_sweep(arguments: list[str]) -> tuple[Path, list[str]]:
 
 def _finish_sweep(sweep_dir: Path, since: float) -> int:
     """Prints and writes the table over the jobs. Returns the exit code."""
+    from rich.markup import escape
     from rich.table import Table
 
     rows = sweep.gather(sweep_dir, since)
     sweep.write(sweep_dir, rows)
     shown = list(dict.fromkeys(key for row in rows for key in row["metrics"] if key.endswith(HEADLINE)))
-    headers = [key.removesuffix(HEADLINE).strip(".").replace(".", "\n") + " [mm]" for key in shown]
-    table = Table("job", "status", "time [s]", *headers, title=f"{sweep_dir}: median position errors")
+    headers = [key.removesuffix(HEADLINE).strip(".").replace(".", "\n") for key in shown]
+    table = Table("job", "status", "seconds", *headers, title=f"{sweep_dir}: median position errors in mm")
     for row in rows:
         errors = [f"{row['metrics'][key]:.3f}" if key in row["metrics"] else "" for key in shown]
-        table.add_row(row["job"], row["error"] or row["status"], f"{row['seconds'] or float('nan'):.0f}", *errors)
+        seconds = "" if row["seconds"] is None else f"{row['seconds']:.0f}"
+        table.add_row(*(escape(text) for text in (row["job"], row["error"] or row["status"], seconds, *errors)))
     progress.console.print(table)
     return 0 if all(row["status"] == "done" for row in rows) else 1
 
