@@ -46,7 +46,9 @@ ABOVE = View(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), ("x 
 
 
 @style()
-def draw_arm(robot: QuaternionArm, bends: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False) -> Figure:
+def draw_arm(
+    robot: QuaternionArm, bends: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False
+) -> Figure:
     """The arm at one or more configurations, with its targets as small frames (x orange, y green, z blue).
 
     Args:
@@ -64,12 +66,13 @@ def draw_arm(robot: QuaternionArm, bends: np.ndarray, targets: np.ndarray | None
         _draw(figure.add_subplot(), oblique(), mesh + pedestal(robot, floor), targets, floor)
         return figure
     figure = new_figure(10.4, 5.6)
-    layout, heights = [["oblique", "front"], ["oblique", "above"]], np.maximum(high - low, 0.15)[[2, 1]]
-    panels = figure.subplot_mosaic(layout, width_ratios=[1.4, 1.0], height_ratios=heights)  # pyright: ignore[reportArgumentType]
-    _draw(panels["oblique"], oblique(), mesh + pedestal(robot, floor), targets, floor)
-    for name, view, up in (("front", FRONT, 2), ("above", ABOVE, 1)):
-        _draw(panels[name], view, mesh, targets)
-        panels[name].set(xlim=1e3 * np.array([low[0], high[0]]), ylim=1e3 * np.array([low[up], high[up]]))
+    heights = np.maximum(high - low, 0.15)
+    grid = figure.add_gridspec(2, 2, width_ratios=[1.4, 1.0], height_ratios=[heights[2], heights[1]])
+    _draw(figure.add_subplot(grid[:, 0]), oblique(), mesh + pedestal(robot, floor), targets, floor)
+    for row, (view, up) in enumerate(((FRONT, 2), (ABOVE, 1))):
+        axes = figure.add_subplot(grid[row, 1])
+        _draw(axes, view, mesh, targets)
+        axes.set(xlim=1e3 * np.array([low[0], high[0]]), ylim=1e3 * np.array([low[up], high[up]]))
     return figure
 
 
@@ -110,8 +113,12 @@ def _draw_floor(axes: Axes, view: View, mesh: Mesh, floor: float) -> None:
     points = np.concatenate(mesh.polygons)
     low, high = (np.floor(10.0 * points.min(0)) - 0.5) / 10.0, (np.ceil(10.0 * points.max(0)) + 0.5) / 10.0
     xs, ys = (np.arange(low[i] + 0.05, high[i], 0.1) for i in (0, 1))
-    lines = [[(x, low[1], floor), (x, high[1], floor)] for x in xs] + [[(low[0], y, floor), (high[0], y, floor)] for y in ys]
-    axes.add_collection(LineCollection([view(np.array(line))[:, :2] for line in lines], colors=LIGHT["rule"], linewidths=0.8))
+    lines = [[(x, low[1], floor), (x, high[1], floor)] for x in xs] + [
+        [(low[0], y, floor), (high[0], y, floor)] for y in ys
+    ]
+    axes.add_collection(
+        LineCollection([view(np.array(line))[:, :2] for line in lines], colors=LIGHT["rule"], linewidths=0.8)
+    )
     axes.add_patch(PathPatch(_shadow(view, mesh, floor), facecolor=LIGHT["rule"], edgecolor="none", zorder=2))
 
 

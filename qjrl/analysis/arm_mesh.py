@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import numpy as np
 
 from qjrl.analysis.palette import ARM
@@ -37,7 +38,7 @@ def arm_mesh(robot: QuaternionArm, bends: np.ndarray) -> Mesh:
     mesh, radius = Mesh(), robot.config.mechanics.link_radius
     base = _Frame(np.zeros(3), np.eye(3))
     mesh.add(cylinder(base, -PLATE_THICKNESS, 0.0, 1.15 * radius), ARM["plate"])
-    poses = [_Frame.of(pose) for pose in np.asarray(frames(robot, np.asarray(bends)))]
+    poses = [_Frame.of(pose) for pose in np.asarray(frames(robot, jnp.asarray(bends)))]
     below, index = base, 0
     for segment, num_joints in enumerate(robot.joints_per_segment):
         for _ in range(num_joints):
@@ -83,7 +84,9 @@ def _add_joint(mesh: Mesh, robot: QuaternionArm, segment: int, below: _Frame, up
         offset = np.array([0.0, 0.0, joint.plate_to_pin])
         start, end = below([pin + offset])[0], upper([-pin - offset])[0]
         mesh.add(tube(start, end, LIMB_RADIUS), ARM["limb"])
-    angles = np.radians([angle + turn for pair in cables.hole_angles_deg[segment:] for angle in pair for turn in (0, 180)])
+    angles = np.radians(
+        [angle + turn for pair in cables.hole_angles_deg[segment:] for angle in pair for turn in (0, 180)]
+    )
     holes = cables.hole_circle_diameter / 2.0 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     mesh.add([np.stack(ends) for ends in zip(below(holes), upper(holes), strict=True)], ARM["strand"])
 
@@ -99,7 +102,7 @@ def _add_link(mesh: Mesh, robot: QuaternionArm, segment: int, lower: _Frame) -> 
 
 
 def cylinder(frame, low: float, high: float, radius: float, num_sides: int = 24) -> list[np.ndarray]:
-    """Sides and lids of a cylinder about the z axis of `frame` (a map of points), corners anticlockwise from outside."""
+    """Sides and lids of a cylinder about the z axis of `frame` (a map of points), anticlockwise from outside."""
     angles = np.linspace(0.0, 2.0 * math.pi, num_sides, endpoint=False)
     ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     bottom, top = (frame(np.column_stack([ring, np.full(num_sides, height)])) for height in (low, high))

@@ -4,6 +4,7 @@ import base64
 import io
 import re
 from pathlib import Path
+from typing import Any, Literal
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -17,7 +18,7 @@ from qjrl.artifacts import write_bytes
 PANEL = (5.2, 3.5)
 """Width and height of a figure with one plot [inch]; two stand side by side on a desk, one fills a phone."""
 
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that a figure looks the same everywhere
     "font.size": 10.0,
     "axes.edgecolor": LIGHT["muted"],
@@ -57,7 +58,7 @@ def new_figure(width: float = PANEL[0], height: float = PANEL[1]) -> Figure:
 
 
 def new_plot(x_label: str, y_label: str, width: float = PANEL[0], height: float = PANEL[1]) -> tuple[Figure, Axes]:
-    """A figure with one plot: both labels carry their units; the one of y lies on top, where it reads without turning."""
+    """A figure with one plot; the label of y lies on top, where it reads without turning. Both carry their units."""
     figure = new_figure(width, height)
     axes = figure.add_subplot()
     axes.spines[["top", "right"]].set_visible(False)
@@ -68,7 +69,7 @@ def new_plot(x_label: str, y_label: str, width: float = PANEL[0], height: float 
     return figure, axes
 
 
-def logarithmic(axes: Axes, which: str) -> None:
+def logarithmic(axes: Axes, which: Literal["x", "y"]) -> None:
     """Logarithmic axis ("x" or "y") with plain numbers, 0.01 and not a power of ten; call it when all is drawn."""
     (axes.set_xscale if which == "x" else axes.set_yscale)("log")
     axis, (low, high) = (axes.xaxis, axes.get_xlim()) if which == "x" else (axes.yaxis, axes.get_ylim())
@@ -112,7 +113,7 @@ def as_svg(figure: Figure, prefix: str) -> str:
         figure.savefig(buffer, format="svg", transparent=True, dpi=180)  # of what is drawn as pixels
     svg = buffer.getvalue()
     svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg, flags=re.DOTALL)  # its style rules every element
+    svg = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", svg, flags=re.DOTALL)  # its style rules the page
     svg = re.sub(r' xmlns(:xlink)?="[^"]*"', "", svg).replace("xlink:href=", "href=")
     svg = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", svg, count=1)
     svg = re.sub(r'(<svg[^>]*?) width="[^"]*"', r"\1", svg, count=1)

@@ -46,25 +46,33 @@ def predicted_and_real(predicted: np.ndarray, real: np.ndarray, quantity: Quanti
     """
     across, up = _shown(predicted, quantity), _shown(real, quantity)
     unit = _UNIT[quantity]
-    figure, axes = new_plot(f"{quantity} error the model predicts [{unit}]", f"{quantity} error in the physics [{unit}]")
+    figure, axes = new_plot(
+        f"{quantity} error the model predicts [{unit}]", f"{quantity} error in the physics [{unit}]"
+    )
     low, high = min(across.min(), up.min()) / 1.3, max(across.max(), up.max()) * 1.3
     axes.plot([low, high], [low, high], color=LIGHT["muted"], linewidth=1.0, linestyle=(0, (4, 3)))
-    axes.plot(across, up, "o", color=LIGHT["blue"], alpha=0.45, markersize=4.0, markeredgewidth=0.0, rasterized=True)
+    axes.plot(
+        across, up, "o", color=LIGHT["blue"], alpha=0.45, markersize=4.0, markeredgewidth=0.0, rasterized=len(up) > 3000
+    )
     axes.plot(np.median(across), np.median(up), "o", color=LIGHT["orange"], markersize=8.0, label="medians")
     axes.annotate(
         "prediction = reality", (high, high), xytext=(-30, -8), textcoords="offset points", ha="right", fontsize=8,
         color=LIGHT["muted"],
     )  # fmt: skip
     axes.set(xlim=(low, high), ylim=(low, high))
-    for which in "xy":
-        logarithmic(axes, which)
+    logarithmic(axes, "x")
+    logarithmic(axes, "y")
     axes.legend(loc="lower right")
     return figure
 
 
 @style()
 def error_against(
-    where: np.ndarray, errors: Mapping[str, np.ndarray], x_label: str, quantity: Quantity = "position", num_bins: int = 8
+    where: np.ndarray,
+    errors: Mapping[str, np.ndarray],
+    x_label: str,
+    quantity: Quantity = "position",
+    num_bins: int = 8,
 ) -> Figure:
     """Median error over equally full bins of some property of the targets, with the band of the middle half.
 

@@ -130,7 +130,10 @@ def judge_residual(
 ) -> Verdict:
     """Compares the median position errors of a policy and its base on every target set that both have."""
     pairs = {
-        target_set: (float(np.median(group[residual].position_error_mm)), float(np.median(group[base].position_error_mm)))
+        target_set: (
+            float(np.median(group[residual].position_error_mm)),
+            float(np.median(group[base].position_error_mm)),
+        )
         for target_set, group in by_target_set(outcomes).items()
         if residual in group and base in group
     }

@@ -40,13 +40,19 @@ class Outcome:
                 f"{self}: got errors of shape {self.position_error.shape} and {self.orientation_error.shape}, "
                 "allowed: (n,) both, n at least 1"
             )
-        if self.strand_tension.ndim != 2 or len(self.strand_tension) != count or self.is_slack.shape != self.strand_tension.shape:
+        if (
+            self.strand_tension.ndim != 2
+            or len(self.strand_tension) != count
+            or self.is_slack.shape != self.strand_tension.shape
+        ):
             raise ValueError(
                 f"{self}: got tensions {self.strand_tension.shape} and slack {self.is_slack.shape}, allowed: ({count}, strands) both"
             )
         arrays = (self.position_error, self.orientation_error, self.strand_tension)
         if not all(np.isfinite(array).all() for array in arrays):
-            raise ValueError(f"{self}: got non-finite values, allowed: finite; leave such rows out and count them in num_left_out")
+            raise ValueError(
+                f"{self}: got non-finite values, allowed: finite; leave such rows out and count them in num_left_out"
+            )
 
     def __str__(self) -> str:
         return f"outcome of {self.controller} on {self.target_set}"

@@ -63,6 +63,7 @@ def controller_look(name: str, index: int) -> dict:
     colour, dashes = _CONTROLLERS.get(name, (SERIES[index % len(SERIES)], _LINES[index % len(_LINES)]))
     return {"color": LIGHT[colour], "linestyle": dashes}
 
+
 ARM = {
     "links": ("#3f5f7f", "#6f94b8", "#3f5f7f", "#6f94b8"),  # by segment
     "plate": "#2b3640",

@@ -3,8 +3,10 @@
 MUJOCO_GL must have been set before mujoco was first imported; the command does that.
 """
 
+import importlib
 import io
 import logging
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,7 @@ log = logging.getLogger(__name__)
 def render_arm(
     robot: Robot, joint_positions: np.ndarray, width: int = 960, height: int = 720, azimuth: float = 125.0
 ) -> np.ndarray | None:
-    """The arm at joint positions (nq,), or None where nothing can be rendered; a missing renderer is no failure of a run.
+    """The arm at joint positions (nq,), or None where nothing can be rendered: that is no failure of a run.
 
     Args:
         azimuth: direction of the eye about z [deg].
@@ -41,8 +43,7 @@ def image_png(image: np.ndarray) -> bytes:
 
 
 def _render(robot: Robot, joint_positions: np.ndarray, width: int, height: int, azimuth: float) -> np.ndarray:
-    import mujoco
-
+    mujoco = _mujoco()
     spec = mujoco.MjSpec.from_string(build_mjcf(robot))
     points = _middles(spec.compile(), joint_positions)
     _furnish(spec, robot, min(-0.08, float(points[:, 2].min()) - 0.04), (width, height))
@@ -61,8 +62,7 @@ def _render(robot: Robot, joint_positions: np.ndarray, width: int, height: int, 
 
 
 def _posed(model, joint_positions: np.ndarray):
-    import mujoco
-
+    mujoco = _mujoco()
     data = mujoco.MjData(model)
     data.qpos[:] = joint_positions
     mujoco.mj_forward(model, data)
@@ -76,8 +76,7 @@ def _middles(model, joint_positions: np.ndarray) -> np.ndarray:
 
 def _furnish(spec, robot: Robot, floor: float, size: tuple[int, int]) -> None:
     """A light, a bright sky, a floor [m] and a column under the base; none of it touches the physics."""
-    import mujoco
-
+    mujoco = _mujoco()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples, spec.visual.quality.shadowsize = 8, 4096
     spec.add_texture(
@@ -99,10 +98,14 @@ def _furnish(spec, robot: Robot, floor: float, size: tuple[int, int]) -> None:
 
 def _options():
     """Strands are shown, sites and joints are not."""
-    import mujoco
-
+    mujoco = _mujoco()
     options = mujoco.MjvOption()
     mujoco.mjv_defaultOption(options)
     options.flags[mujoco.mjtVisFlag.mjVIS_TENDON] = True
     options.flags[mujoco.mjtVisFlag.mjVIS_JOINT] = False
     return options
+
+
+def _mujoco() -> Any:
+    """Imported when first used; its compiled parts have no types."""
+    return importlib.import_module("mujoco")

@@ -28,7 +28,13 @@ def tension_histogram(outcomes: Sequence[Outcome], pretension: float | None = No
         label = f"{controller_label(outcome.controller)}: {100.0 * outcome.is_slack.mean():.2g} % slack"
         axes.stairs(shares, edges, baseline=None, linewidth=1.6, label=label, **look)
     if pretension is not None:
-        axes.axvline(pretension, color=LIGHT["reference"], linewidth=1.2, linestyle=(0, (4, 3)), label=f"at home: {pretension:g} N")
+        axes.axvline(
+            pretension,
+            color=LIGHT["reference"],
+            linewidth=1.2,
+            linestyle=(0, (4, 3)),
+            label=f"at home: {pretension:g} N",
+        )
     axes.set(xlim=(0.0, edges[-1]), ylim=(0.0, None))
     axes.legend()
     return figure

@@ -18,6 +18,7 @@ class Column:
 
     @property
     def is_number(self) -> bool:
+        """Whether its cells are numbers, aligned to the right."""
         return self.decimals is not None
 
     def text(self, cell: Cell) -> str:

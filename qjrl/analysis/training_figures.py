@@ -30,19 +30,22 @@ def learning_curves(
         x_key: key of the horizontal axis ("epoch", "env_steps").
         x_label: with its unit, as y_label.
         is_logarithmic: of the vertical axis.
-        references: name -> a horizontal line, such as the base controller's error.
+        references: name -> a horizontal line, such as the base controller's error; several take the colours of the keys.
     """
     figure, axes = new_plot(x_label, y_label)
     for index, (key, name) in enumerate(keys.items()):
         steps, values = curve(records, x_key, key)
-        marker = dict(marker="o", markersize=4) if len(steps) <= 25 else {}
+        if len(steps) == 0:
+            continue
+        marker = {"marker": "o", "markersize": 4} if len(steps) <= 25 else {}
         axes.plot(steps, values, color=series_colour(index), label=name, **marker)
-    for name, value in (references or {}).items():
-        axes.axhline(value, color=LIGHT["reference"], linewidth=1.2, linestyle=(0, (4, 3)), label=name)
+    for index, (name, value) in enumerate((references or {}).items()):
+        colour = LIGHT["reference"] if len(references or {}) == 1 else series_colour(index)
+        axes.axhline(value, color=colour, linewidth=1.2, linestyle=(0, (4, 3)), label=name)
     if is_logarithmic:
         logarithmic(axes, "y")
     axes.xaxis.set_major_formatter(lambda value, _: short_count(value))
-    if len(keys) + len(references or {}) > 1:
+    if len(keys) + len(references or {}) > 1 and axes.lines:
         axes.legend()
     return figure
 
