@@ -23,7 +23,10 @@ def load_robot(name_or_path: str | Path) -> QuaternionArm:
         path = conf_folder() / "robot" / f"{name_or_path}.yaml"
         if not path.is_file():
             shipped = sorted(file.stem for file in path.parent.glob("*.yaml"))
-            raise ConfigError(f"robot: got {str(name_or_path)!r}, allowed: a .yaml path or {known_names(str(name_or_path), shipped)}")
+            known = known_names(str(name_or_path), shipped)
+            raise ConfigError(
+                f"robot: got {str(name_or_path)!r}, allowed: the path of a .yaml file or a shipped name; {known}"
+            )
     return robot_from_mapping(read_yaml(path))
 
 
@@ -33,8 +36,10 @@ def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
     Raises:
         ConfigError: unknown kind or key, wrong type, impossible value; one line.
     """
-    kind = mapping.get("kind")
-    if kind not in KINDS:
+    if "kind" not in mapping:
+        raise ConfigError(f"robot.kind: missing, allowed: {', '.join(KINDS)}")
+    kind = mapping["kind"]
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(f"robot.kind: got {kind!r}, allowed: {', '.join(KINDS)}")
     config_type, make = KINDS[kind]
     return make(build(config_type, mapping, "robot"))

@@ -22,8 +22,17 @@ def cable_lengths(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Floa
 
 
 def bends_from_cables(arm: QuaternionArm, lengths: Float[Array, "cables"]) -> Float[Array, "segments 2"]:
-    """Bends whose cable lengths [m] are given: the nominal forward kinematics of the cables, closed form."""
-    return jnp.linalg.solve(cable_matrix(arm), lengths).reshape(arm.num_segments, 2)
+    """Bends whose cable lengths [m] are given: the nominal forward kinematics of the cables, closed form.
+
+    The two cables of segment k see the sum of m_j a_j over j <= k, so a 2x2 inverse and a difference give a_k.
+    """
+    directions = _hole_directions(arm).reshape(arm.num_segments, 2, 2)  # (segment, hole, xy)
+    pairs = lengths.reshape(arm.num_segments, 2)
+    determinant = directions[:, 0, 0] * directions[:, 1, 1] - directions[:, 0, 1] * directions[:, 1, 0]
+    x = directions[:, 1, 1] * pairs[:, 0] - directions[:, 0, 1] * pairs[:, 1]
+    y = directions[:, 0, 0] * pairs[:, 1] - directions[:, 1, 0] * pairs[:, 0]
+    sums = -jnp.stack([x, y], axis=1) / (arm.hole_circle_diameter * determinant)[:, None]
+    return jnp.diff(sums, axis=0, prepend=jnp.zeros((1, 2), sums.dtype)) / jnp.array(arm.joints_per_segment)[:, None]
 
 
 def cable_matrix(arm: QuaternionArm) -> Float[Array, "cables bends"]:

@@ -11,7 +11,9 @@ from qjrl.robot.quaternion_arm.joint import half_direction, joint_height
 def joint_positions(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "nq"]:
     """Positions of all hinges [rad] and slides [m] at given bends, on the constraint manifold."""
     per_segment = jax.vmap(lambda bend: _one_joint(arm, bend))(bends)
-    return jnp.repeat(per_segment, jnp.array(arm.joints_per_segment), axis=0, total_repeat_length=arm.num_joints).reshape(-1)
+    return jnp.repeat(
+        per_segment, jnp.array(arm.joints_per_segment), axis=0, total_repeat_length=arm.num_joints
+    ).reshape(-1)
 
 
 def bends_from_joint_positions(arm: QuaternionArm, positions: Float[Array, "nq"]) -> Float[Array, "segments 2"]:
@@ -19,7 +21,9 @@ def bends_from_joint_positions(arm: QuaternionArm, positions: Float[Array, "nq"]
     hinges = positions.reshape(arm.num_joints, -1)
     x, y = hinges[:, 0], hinges[:, 1]
     bends = jnp.stack([jnp.sin(y), -jnp.sin(x) * jnp.cos(y)], axis=1)  # (num_joints, 2)
-    owner = jnp.repeat(jnp.arange(arm.num_segments), jnp.array(arm.joints_per_segment), total_repeat_length=arm.num_joints)
+    owner = jnp.repeat(
+        jnp.arange(arm.num_segments), jnp.array(arm.joints_per_segment), total_repeat_length=arm.num_joints
+    )
     return jax.ops.segment_sum(bends, owner, arm.num_segments) / jnp.array(arm.joints_per_segment)[:, None]
 
 

@@ -132,17 +132,31 @@ class QuaternionArmConfig:
         if len(set(names)) != len(names):
             raise ValueError(f"cables.names: got {names}, allowed: all different")
         _check_hole_angles(self.cables.hole_angles_deg)
-        stop = self.joint.bend_limit_deg + self.joint.stop_margin_deg
-        if stop >= 90.0:
-            raise ValueError(f"joint.stop_margin_deg: the stop lies at {stop} deg, allowed: below 90")
-        if max(self.joints_per_segment) * stop > 170.0 and max(self.joints_per_segment) <= 2:
-            raise ValueError(f"joint.bend_limit_deg: a segment would bend {max(self.joints_per_segment) * stop:.0f} deg, allowed: up to 170")
+        _check_stop(self.joint, self.cables.hole_circle_diameter)
+
+
+def _check_stop(joint: JointConfig, hole_circle_diameter: float) -> None:
+    """Up to the mechanical stop the plates of a joint stay apart: there the strand on the inside is the shortest."""
+    stop = joint.bend_limit_deg + joint.stop_margin_deg
+    if stop >= 90.0:
+        raise ValueError(
+            f"joint.stop_margin_deg: got {joint.stop_margin_deg}, allowed: bend_limit_deg + stop_margin_deg below 90"
+        )
+    cosine, sine = math.cos(math.radians(stop) / 2.0), math.sin(math.radians(stop) / 2.0)
+    height = (
+        math.sqrt(joint.crossed_link_length**2 - (joint.pin_distance * cosine) ** 2) + 2.0 * joint.plate_to_pin * cosine
+    )
+    if hole_circle_diameter * sine >= height:
+        raise ValueError(
+            f"cables.hole_circle_diameter: got {hole_circle_diameter}, allowed: less than {height / sine:.4g}, "
+            f"where the plates of a joint touch at its stop of {stop:.12g} deg"
+        )
 
 
 def _check_hole_angles(hole_angles_deg: tuple[tuple[float, float], ...]) -> None:
     """Each hole belongs to one strand: angles differ modulo 180, since return strands use the opposite hole."""
     angles = sorted(angle % 180.0 for pair in hole_angles_deg for angle in pair)
-    gaps = [after - before for before, after in zip(angles, angles[1:] + [angles[0] + 180.0], strict=True)]
+    gaps = [after - before for before, after in zip(angles, [*angles[1:], angles[0] + 180.0], strict=True)]
     if min(gaps) < 1.0:
         raise ValueError(
             f"cables.hole_angles_deg: got {[list(pair) for pair in hole_angles_deg]}, allowed: all different by 1 deg or more, modulo 180"

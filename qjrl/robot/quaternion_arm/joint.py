@@ -33,15 +33,13 @@ def height_of_cosine(crossed_link_length, pin_distance, plate_to_pin, cosine):
     return (crossed_link_length**2 - (pin_distance * cosine) ** 2) ** 0.5 + 2.0 * plate_to_pin * cosine
 
 
-def joint_transform(
-    arm: QuaternionArm, bend: Float[Array, "2"]
-) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
+def joint_transform(arm: QuaternionArm, bend: Float[Array, "2"]) -> tuple[Float[Array, "3"], Float[Array, "3 3"]]:
     """Position [m] and rotation of the upper plate in the lower plate's frame.
 
     Source: paper 000, Eq. 2 with its off-diagonal term corrected (-s_2phi s^2_(theta/2), printed twice that).
     """
     n = half_direction(bend)
-    rotation = (2.0 * jnp.outer(n, n) - jnp.eye(3)) * jnp.array([-1.0, -1.0, 1.0])
+    rotation = (2.0 * jnp.outer(n, n) - jnp.eye(3, dtype=n.dtype)) * jnp.array([-1.0, -1.0, 1.0], n.dtype)
     return joint_height(arm, bend) * n, rotation
 
 

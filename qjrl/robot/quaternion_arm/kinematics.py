@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.geometry.pose import pose_from_frame
@@ -11,7 +12,8 @@ from qjrl.robot.quaternion_arm.joint import joint_transform
 
 def forward_kinematics(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "9"]:
     """Tip pose in the base frame, [m] and columns of the rotation (paper 000, Eqs. 2-3 composed)."""
-    return frames(arm, bends)[-1]
+    tip, _ = _walk(arm, bends)
+    return pose_from_frame(*tip)
 
 
 def segment_frames(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "segments 9"]:
@@ -22,13 +24,19 @@ def segment_frames(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Flo
 
 def frames(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "frames 9"]:
     """Poses along the arm: upper plate and link end of every joint, from the base to the tip."""
+    _, poses = _walk(arm, bends)
+    return poses.reshape(-1, 9)
+
+
+def _walk(arm: QuaternionArm, bends: jax.Array):
+    """Frame of the tip, and the poses (joints, 2, 9) passed; a scan compiles and runs faster than an unrolled loop."""
     offsets, rotations = jax.vmap(lambda bend: joint_transform(arm, bend))(bends)
-    position, rotation, poses = jnp.zeros(3), jnp.eye(3), []
-    for segment, num_joints in enumerate(arm.joints_per_segment):
-        for _ in range(num_joints):
-            position = position + rotation @ offsets[segment]
-            rotation = rotation @ rotations[segment]
-            poses.append(pose_from_frame(position, rotation))
-            position = position + rotation[:, 2] * arm.link_length
-            poses.append(pose_from_frame(position, rotation))
-    return jnp.stack(poses)
+
+    def cross_joint(frame, segment):
+        position, rotation = frame
+        plate, turned = position + rotation @ offsets[segment], rotation @ rotations[segment]
+        end = plate + turned[:, 2] * arm.link_length
+        return (end, turned), jnp.stack([pose_from_frame(plate, turned), pose_from_frame(end, turned)])
+
+    base = (jnp.zeros(3, offsets.dtype), jnp.eye(3, dtype=offsets.dtype))
+    return jax.lax.scan(cross_joint, base, np.repeat(np.arange(arm.num_segments), arm.joints_per_segment))

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import ConfigError, Range
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
@@ -24,6 +24,8 @@ HARD_SOLIMP = "0.9999 0.9999 0.001 0.5 2"
 # Inertia of the slide [kg]. A height row is soft in proportion to its inverse: at 1 kg the tip rests 0.03 mm below the
 # minimum of the potential energy, at 10 kg 0.005 mm. Small against the hinges' while dH/dtheta stays below 5 mm/rad.
 SLIDE_ARMATURE = 10.0
+# The slide follows the closed form this closely [m]; 2e-9 for the default arm.
+LARGEST_FIT_ERROR = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +66,11 @@ def joint_labels(arm: QuaternionArm) -> list[str]:
 
 
 def fit_height_polynomial(arm: QuaternionArm) -> np.ndarray:
-    """Quartic (5,) that gives the slide H(theta) - H(0) from the measuring tendon's length change, lowest order first."""
+    """Quartic (5,) that gives the slide H(theta) - H(0) from the measuring tendon's length change, lowest order first.
+
+    Raises:
+        ConfigError: the height changes too sharply near home for a quartic, pins nearly as far apart as the links are long.
+    """
     joint = arm.config.joint
     angles = np.linspace(0.0, math.radians(min(joint.bend_limit_deg + joint.stop_margin_deg + 3.0, 95.0)), 400)
     measured = 2.0 * MEASURING_ARM * (np.cos(angles / 4.0) - 1.0)
@@ -73,6 +79,11 @@ def fit_height_polynomial(arm: QuaternionArm) -> np.ndarray:
     scale = np.abs(measured).max()
     powers = (measured[:, None] / scale) ** np.arange(1, 5)
     coefficients, *_ = np.linalg.lstsq(powers, slide, rcond=None)
+    if np.abs(powers @ coefficients - slide).max() > LARGEST_FIT_ERROR:
+        raise ConfigError(
+            f"robot.joint.pin_distance: got {joint.pin_distance}, allowed: up to about 0.85 crossed_link_length = "
+            f"{0.85 * joint.crossed_link_length:.4g}; beyond, the height changes too sharply for the physics"
+        )
     return np.concatenate([[0.0], coefficients / scale ** np.arange(1, 5)])
 
 
@@ -115,8 +126,13 @@ def _add_bodies(root: ElementTree.Element, arm: QuaternionArm, options: SolverOp
         _add(chord, "joint", name=f"lower_x_{label}", axis="1 0 0", **hinge)
         _add(chord, "joint", name=f"lower_y_{label}", axis="0 1 0", **hinge)
         _add(
-            chord, "geom", type="capsule", mass=mechanics.joint_mass, size=(0.3 * mechanics.link_radius,),
-            fromto=(0, 0, 0, 0, 0, home_height), rgba="0.75 0.6 0.3 1",
+            chord,
+            "geom",
+            type="capsule",
+            mass=mechanics.joint_mass,
+            size=(0.3 * mechanics.link_radius,),
+            fromto=(0, 0, 0, 0, 0, home_height),
+            rgba="0.75 0.6 0.3 1",
         )
         _add(chord, "site", name=f"measure_upper_{label}", pos=(0.0, 0.0, MEASURING_ARM), **_HIDDEN)
         link = _add(chord, "body", name=f"link_{label}", pos=(0.0, 0.0, home_height))
@@ -127,16 +143,27 @@ def _add_bodies(root: ElementTree.Element, arm: QuaternionArm, options: SolverOp
         length = arm.config.link_length
         half = max(length / 2.0, 0.001)
         _add(
-            link, "geom", type="cylinder", mass=mechanics.link_mass, size=(mechanics.link_radius, half),
-            pos=(0.0, 0.0, length / 2.0), rgba="0.3 0.35 0.45 0.6",
+            link,
+            "geom",
+            type="cylinder",
+            mass=mechanics.link_mass,
+            size=(mechanics.link_radius, half),
+            pos=(0.0, 0.0, length / 2.0),
+            rgba="0.3 0.35 0.45 0.6",
         )
         _add_holes(link, arm, f"upper_{label}", segment, 0.0)
         parent, plate_height = link, length
     _add(parent, "site", name="tip", pos=(0.0, 0.0, plate_height), size=(0.006,), rgba="0.9 0.2 0.2 1")
     if mechanics.payload > 0.0:
         _add(
-            parent, "geom", name="payload", type="sphere", mass=mechanics.payload, size=(0.01,),
-            pos=(0.0, 0.0, plate_height), rgba="0.9 0.5 0.1 1",
+            parent,
+            "geom",
+            name="payload",
+            type="sphere",
+            mass=mechanics.payload,
+            size=(0.01,),
+            pos=(0.0, 0.0, plate_height),
+            rgba="0.9 0.5 0.1 1",
         )
 
 
@@ -155,8 +182,14 @@ def _add_tendons(root: ElementTree.Element, arm: QuaternionArm) -> None:
     strands = arm.config.strands
     for strand in range(arm.num_strands):
         spatial = _add(
-            tendon, "spatial", name=strand_name(arm, strand), damping=strands.damping, frictionloss=strands.friction,
-            width=0.0006, rgba="0.8 0.2 0.2 1", **_STICKING,
+            tendon,
+            "spatial",
+            name=strand_name(arm, strand),
+            damping=strands.damping,
+            frictionloss=strands.friction,
+            width=0.0006,
+            rgba="0.8 0.2 0.2 1",
+            **_STICKING,
         )
         crossed = [label for label in joint_labels(arm) if int(label.split("_")[0]) - 1 <= strand // 4]
         for index, label in enumerate(crossed):
@@ -177,7 +210,8 @@ def _add_measuring_tendons(tendon: ElementTree.Element, arm: QuaternionArm, labe
     stop = math.radians(joint.bend_limit_deg + joint.stop_margin_deg)
     limit = dict(
         range=(2.0 * MEASURING_ARM * math.cos(stop / 4.0), 3.0 * MEASURING_ARM),
-        solreflimit="0.008 1", solimplimit=HARD_SOLIMP,
+        solreflimit="0.008 1",
+        solimplimit=HARD_SOLIMP,
     )
     measure = _add(tendon, "spatial", name=f"measure_{label}", rgba="0 0 0 0", **(limit if is_first else {}))
     _add(measure, "site", site=f"measure_lower_{label}")
@@ -199,8 +233,12 @@ def _add_equalities(root: ElementTree.Element, arm: QuaternionArm, options: Solv
                 _add(equality, "joint", joint1=f"lower_{axis}_{label}", joint2=f"lower_{axis}_{first}", **hard)
         if arm.joint_model == "rolling":
             _add(
-                equality, "tendon", tendon1=f"height_{label}", tendon2=f"measure_{label}",
-                polycoef=fit_height_polynomial(arm), **hard,
+                equality,
+                "tendon",
+                tendon1=f"height_{label}",
+                tendon2=f"measure_{label}",
+                polycoef=fit_height_polynomial(arm),
+                **hard,
             )
 
 
@@ -210,7 +248,11 @@ def _add_actuators(root: ElementTree.Element, arm: QuaternionArm) -> None:
     for strand in range(arm.num_strands):
         name = strand_name(arm, strand)
         _add(
-            actuator, "position", name=name, tendon=name, kp=float(arm.strand_stiffness),
+            actuator,
+            "position",
+            name=name,
+            tendon=name,
+            kp=float(arm.strand_stiffness),
             forcerange=(-arm.config.strands.strength, 0.0),
         )
 

@@ -1,0 +1,287 @@
+"""The residual environment: many arms, each reaching one target with a base controller and a learned residual.
+
+A thin shell around free functions: motors, sensors, observations and rewards are pure; the physics is a stepper.
+Episodes end by the time limit alone (truncation). A diverged simulation is invalid and starts afresh.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qjrl.config import Range
+from qjrl.control import motors
+from qjrl.control.observations import (
+    ACTION_HISTORY,
+    ControlState,
+    TrueState,
+    actor_observation,
+    critic_observation,
+)
+from qjrl.control.randomisation import RandomisationConfig, draw_parameters
+from qjrl.control.rewards import RewardConfig, reward
+from qjrl.control.sensors import TIME_CONSTANTS, read_encoders, remember
+from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Observation, Transition
+from qjrl.robot import configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import PhysicalParameters, Readout, Stepper
+
+
+@dataclasses.dataclass(frozen=True)
+class EnvironmentConfig:
+    """One episode and one step."""
+
+    episode_steps: Annotated[int, Range(10, 100_000)] = 200
+    """Control steps of an episode (paper 000, section 5.4.2: 4 s)."""
+    control_period: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
+    """[s]; 50 Hz (paper 000, section 4)."""
+    latest_arrival: Annotated[float, Range(above=0.0)] = 3.0
+    """Targets whose base ramp ends later are left out and counted [s]."""
+    scored_time: Annotated[float, Range(above=0.0)] = 0.5
+    """Errors are judged over this long at the end of an episode [s]."""
+    residual: motors.ResidualConfig = motors.ResidualConfig()
+    reward: RewardConfig = RewardConfig()
+    randomisation: RandomisationConfig = RandomisationConfig()
+
+    def __post_init__(self):
+        duration = self.episode_steps * self.control_period
+        if self.latest_arrival + self.scored_time > duration:
+            raise ValueError(
+                f"latest_arrival: got {self.latest_arrival}, allowed: at most {duration - self.scored_time:g} "
+                f"(an episode of {duration:g} s less scored_time)"
+            )
+
+    @property
+    def scored_steps(self) -> int:
+        """Control steps over which the error is judged."""
+        return math.ceil(self.scored_time / self.control_period)
+
+
+@struct.dataclass
+class Bank:
+    """Targets and base commands that episodes draw from."""
+
+    target: jax.Array
+    """(rows, 9)."""
+    base_lengths: jax.Array
+    """(rows, num_cables) [m]."""
+
+
+class ResidualEnvironment:
+    """`num_envs` arms for PPO (`learning.ppo.environment.VectorEnv`) and, with `rows`, for judging controllers.
+
+    With `rows=None` every episode draws a row of the bank at random, and the first episodes are cut short at random
+    lengths so that the arms are spread over all phases of an episode. With `rows` arm i reaches row rows[i] of the
+    bank, its parameters and noise a function of (seed, rows[i]) alone: the same for every controller.
+    """
+
+    def __init__(
+        self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int, rows: np.ndarray | None = None
+    ):
+        self.num_envs, self.action_size = stepper.num_sims, robot.num_cables
+        self.config, self._stepper, self._rows, self._seed = config, stepper, rows, seed
+        self._substeps = max(1, round(config.control_period / stepper.timestep))
+        begin, restart = jax.vmap(partial(_begin, robot, config, bank)), jax.vmap(partial(_restart, robot, config))
+        self._begin, self._restart = jax.jit(begin), jax.jit(restart)
+        self._begin_some = jax.jit(lambda keys, ids, rows: begin(keys[ids], rows, jnp.zeros(len(ids), bool)))
+        self._restart_some = jax.jit(partial(_restart_some, restart))
+        self._command = jax.jit(jax.vmap(partial(_command, robot, config)))
+        self._observe = jax.jit(jax.vmap(partial(_observe, robot, config)))
+        self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
+        self._home_commands = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
+        self.observation_sizes = {key: value.shape[1] for key, value in self.reset().items()}
+
+    def reset(self) -> Observation:
+        """Start every arm afresh, at rest at home."""
+        count = np.arange(self.num_envs)
+        rows = np.full(self.num_envs, -1) if self._rows is None else np.asarray(self._rows)
+        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed)))(jnp.asarray(count if self._rows is None else rows))
+        begun = self._begin(keys, jnp.asarray(rows), jnp.full(self.num_envs, self._rows is None))
+        self._reset_physics(count, begun.parameters)
+        self._state, observation = self._restart(begun.state, _truth(self._stepper.read()))
+        return _as_numpy(observation)
+
+    def step(self, actions: Any) -> Transition:
+        """One control period: residual and base to the motors, physics, sensors, reward."""
+        planned, commands = self._command(self._state, jnp.asarray(actions, self._state.residual.dtype))
+        self._stepper.step(np.asarray(commands), self._substeps)
+        readout = self._stepper.read()
+        outcome = self._observe(planned, _truth(readout))
+        self._state = outcome.state
+        valid = np.array(readout.is_finite)
+        truncated = np.asarray(outcome.is_over) & valid
+        final = observation = _as_numpy(outcome.observation)
+        ended = np.flatnonzero(truncated | ~valid)
+        if len(ended):
+            observation = self._start_again(ended, observation)
+        return Transition(
+            observation=observation,
+            reward=np.where(valid, np.asarray(outcome.reward), 0.0).astype(np.float32),
+            terminated=np.zeros(self.num_envs, bool),
+            truncated=truncated,
+            final_observation=final,
+            valid=valid,
+            metrics={name: np.where(valid, np.asarray(value), np.nan) for name, value in outcome.metrics.items()},
+        )
+
+    @property
+    def commands(self) -> np.ndarray:
+        """(num_envs, num_cables) what the motors hold now [m]."""
+        return np.asarray(self._state.command)
+
+    @property
+    def strand_tension(self) -> np.ndarray:
+        """(num_envs, strands) [N]."""
+        return self._stepper.read().strand_tension
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that a bitwise continuation needs."""
+        fields = {field.name: getattr(self._state, field.name) for field in dataclasses.fields(ControlState)}
+        fields["key"] = jax.random.key_data(fields["key"])
+        control = {f"control/{name}": np.array(value) for name, value in fields.items()}
+        return control | {f"physics/{name}": value for name, value in self._stepper.get_state().items()}
+
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go back to what `get_state` returned."""
+        fields = {name.removeprefix("control/"): jnp.asarray(value) for name, value in state.items() if name.startswith("control/")}
+        fields["key"] = jax.random.wrap_key_data(fields["key"])
+        self._state = ControlState(**fields)
+        self._stepper.set_state({name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")})
+
+    def _start_again(self, ids: np.ndarray, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """New episodes for arms `ids`; the observation of the others stays."""
+        padded = np.resize(ids, _padded_size(len(ids), self.num_envs))  # repeats ids: few sizes to compile
+        rows = np.full(len(padded), -1) if self._rows is None else np.asarray(self._rows)[padded]
+        begun = self._begin_some(self._state.key, padded, rows)
+        self._reset_physics(ids, {name: value[: len(ids)] for name, value in _as_numpy(begun.parameters).items()})
+        self._state, first = self._restart_some(self._state, begun.state, _truth(self._stepper.read()), padded)
+        changed = {key: value.copy() for key, value in observation.items()}
+        for key, value in _as_numpy(first).items():
+            changed[key][ids] = value[: len(ids)]
+        return changed
+
+    def _reset_physics(self, ids: np.ndarray, parameters: Mapping[str, jax.Array]) -> None:
+        values = PhysicalParameters(**{name: np.asarray(value) for name, value in parameters.items()})
+        self._stepper.reset(ids, self._home, self._home_commands, values)
+
+
+@struct.dataclass
+class _Begun:
+    state: ControlState
+    parameters: dict[str, jax.Array]
+
+
+@struct.dataclass
+class _Outcome:
+    state: ControlState
+    observation: dict[str, jax.Array]
+    reward: jax.Array
+    is_over: jax.Array
+    metrics: dict[str, jax.Array]
+
+
+def _begin(robot: Robot, config: EnvironmentConfig, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array) -> _Begun:
+    """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
+    key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
+    row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
+    cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
+    zeros = jnp.zeros((robot.num_cables,), bank.base_lengths.dtype)
+    readings = jnp.zeros((robot.num_segments, 2), bank.base_lengths.dtype)
+    state = ControlState(
+        target=bank.target[row],
+        base_lengths=bank.base_lengths[row],
+        command=zeros,
+        residual=zeros,
+        actions=jnp.zeros((ACTION_HISTORY, robot.num_cables), zeros.dtype),
+        reading=readings,
+        memory=jnp.zeros((len(TIME_CONSTANTS), *readings.shape), zeros.dtype),
+        step=jnp.zeros((), jnp.int32),
+        initial_errors=jnp.zeros(2, zeros.dtype),
+        episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
+        key=key_next,
+    )
+    return _Begun(state, draw_parameters(config.randomisation, key_parameters))
+
+
+def _restart(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState):
+    """First reading and first observation of an episode, from the physics at rest at home."""
+    key_noise, key_next = jax.random.split(state.key)
+    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
+    errors = _errors(truth, state)
+    memory = jnp.broadcast_to(reading, state.memory.shape)
+    state = state.replace(reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next)
+    return state, _observation(robot, config, state, truth, errors)
+
+
+def _restart_some(restart, states: ControlState, fresh: ControlState, truth: TrueState, ids: jax.Array):
+    """`_restart` for simulations `ids` among all; the states of the others stay."""
+    fresh, first = restart(fresh, jax.tree.map(lambda value: value[ids], truth))
+    return jax.tree.map(lambda old, new: old.at[ids].set(new), states, fresh), first
+
+
+def _command(robot: Robot, config: EnvironmentConfig, state: ControlState, action: jax.Array):
+    """The next control state's commands and the strands' rest lengths: base and residual summed before one limiter."""
+    period = config.control_period
+    residual = motors.move_residual(config.residual, state.residual, action, period)
+    desired = motors.ramped_base(robot, state.base_lengths, (state.step + 1) * period) + residual
+    command = motors.limit_speed(robot, state.command, desired, period)
+    actions = jnp.concatenate([action[None], state.actions[:-1]])
+    return state.replace(residual=residual, command=command, actions=actions), strand_commands(robot, command)
+
+
+def _observe(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState) -> _Outcome:
+    """Sensors, reward and end of episode after the physics has moved."""
+    key_noise, key_next = jax.random.split(state.key)
+    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
+    memory = remember(state.memory, reading, config.control_period).astype(state.memory.dtype)
+    state = state.replace(step=state.step + 1, reading=reading, memory=memory, key=key_next)
+    errors = _errors(truth, state)
+    has_arrived = _ramp(robot, config, state) >= 1.0
+    step_reward = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
+    is_scored = state.step > config.episode_steps - config.scored_steps
+    metrics = {
+        "position_error": errors[0],
+        "orientation_error": errors[1],
+        "scored_position_error": jnp.where(is_scored, errors[0], jnp.nan),
+        "residual": jnp.max(jnp.abs(state.residual)),
+    }
+    observation = _observation(robot, config, state, truth, errors)
+    return _Outcome(state, observation, step_reward, state.step >= state.episode_steps, metrics)
+
+
+def _observation(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState, errors: jax.Array) -> dict[str, jax.Array]:
+    actor = actor_observation(robot, state, _ramp(robot, config, state))
+    return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors)}
+
+
+def _ramp(robot: Robot, config: EnvironmentConfig, state: ControlState) -> jax.Array:
+    """How much of the base command is ramped in, 0 to 1."""
+    duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
+    return jnp.minimum(state.step * config.control_period / duration, 1.0)
+
+
+def _errors(truth: TrueState, state: ControlState) -> jax.Array:
+    return jnp.stack([position_error(truth.pose, state.target), orientation_error(truth.pose, state.target)])
+
+
+def _truth(readout: Readout) -> TrueState:
+    """What the observations need of a readout; jit copies the live arrays when it is called."""
+    return TrueState(readout.joint_positions, readout.strand_lengths, readout.strand_velocities, readout.pose)  # pyright: ignore[reportArgumentType]
+
+
+def _as_numpy(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:
+    return {name: np.asarray(value) for name, value in arrays.items()}
+
+
+def _padded_size(count: int, largest: int) -> int:
+    """The next power of two, at least 8."""
+    return min(largest, max(8, 2 ** math.ceil(math.log2(count))))

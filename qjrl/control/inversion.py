@@ -1,0 +1,86 @@
+"""Invert a forward model for sets of targets, and settle every answer: the predicted error beside the real one."""
+
+import dataclasses
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qjrl.config import Range
+from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_bends, target_poses
+from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.robot import cable_lengths
+from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.settling import SettleConfig, SettleResult, settle
+from qjrl.solvers.adam import AdamConfig, solve_adam
+
+# Offsets of the run's seed, so that no target is drawn twice for different purposes.
+HELD_OUT_SEED, BANK_SEED = 1_000_003, 2_000_003
+
+
+@dataclasses.dataclass(frozen=True)
+class IKConfig:
+    """Group `ik`."""
+
+    solver: AdamConfig = AdamConfig()
+    """Steps, restarts, weights and tolerances."""
+    num_held_out: Annotated[int, Range(1, 1_000_000)] = 128
+    """Targets of each set whose answers are settled in the physics."""
+    num_bank: Annotated[int, Range(1, 1_000_000)] = 384
+    """Targets of each set that the policy trains on."""
+    targets: TargetConfig = TargetConfig()
+    """Laws of the target sets."""
+
+
+def solve_target_set(
+    robot: Robot, model: PoseFunction, config: IKConfig, target_set: str, count: int, seed: int, advance=None
+) -> dict[str, np.ndarray]:
+    """Targets of a set with both base commands: arrays of a target bank, one row a target.
+
+    `nominal_lengths` are the cables of the bends that define the target: the closed form's own answer, exact for it.
+    """
+    bends = draw_bends(robot, target_set, count, seed, config.targets)
+    poses = target_poses(robot, bends)
+    answer = solve_adam(robot, poses, model, config.solver, seed, advance)
+    return {
+        "target_set": np.full(count, TARGET_SETS.index(target_set)),
+        "target": poses,
+        "bends": bends,
+        "nominal_lengths": np.asarray(jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(bends))),
+        "learned_lengths": np.asarray(answer.cable_lengths),
+        "predicted_position_error": np.asarray(answer.position_error),
+        "predicted_orientation_error": np.asarray(answer.orientation_error),
+        "converged": np.asarray(answer.converged),
+        "status": np.asarray(answer.status),
+    }
+
+
+def settle_answers(robot: Robot, simulation: SettleConfig, bank: dict[str, np.ndarray], advance=None) -> dict[str, np.ndarray]:
+    """What the physics makes of both commands of every row: real errors, tension, slack. Keys "nominal_…", "learned_…"."""
+    measured = {}
+    for controller in ("nominal", "learned"):
+        result = settle(robot, bank[f"{controller}_lengths"], config=simulation, advance=advance)
+        position, orientation = _errors(result, bank["target"])
+        measured |= {
+            f"{controller}_pose": result.pose,
+            f"{controller}_position_error": position,
+            f"{controller}_orientation_error": orientation,
+            f"{controller}_strand_tension": result.strand_tension,
+            f"{controller}_joint_positions": result.joint_positions,
+            f"{controller}_settled": result.converged,
+        }
+    return measured
+
+
+def solve_both_sets(robot: Robot, model: PoseFunction, config: IKConfig, count: int, seed: int, advance=None) -> dict[str, np.ndarray]:
+    """`solve_target_set` for every set, one below the other."""
+    banks = [solve_target_set(robot, model, config, name, count, seed, advance) for name in TARGET_SETS]
+    return {name: np.concatenate([bank[name] for bank in banks]) for name in banks[0]}
+
+
+def _errors(result: SettleResult, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    poses = jnp.asarray(result.pose)
+    position = jax.vmap(position_error)(poses, jnp.asarray(targets))
+    return np.asarray(position), np.asarray(jax.vmap(orientation_error)(poses, jnp.asarray(targets)))

@@ -1,0 +1,72 @@
+"""Judge a controller: one episode for every target of a bank, under given randomisation, errors at the end."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.control.motors import ramp_time
+from qjrl.learning.ppo.environment import ACTOR_KEY
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import Stepper
+
+# Actor observations (n, size) -> actions (n, num_cables) in [-1, 1].
+Act = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """Means over the scored end of one episode a target; rows that diverged are not valid."""
+
+    position_error: np.ndarray
+    """(n,) [m]."""
+    orientation_error: np.ndarray
+    """(n,) [rad]."""
+    strand_tension: np.ndarray
+    """(n, strands) [N], one step before the end."""
+    is_valid: np.ndarray
+    """(n,)."""
+
+
+def arrives_in_time(robot: Robot, config: EnvironmentConfig, base_lengths: np.ndarray) -> np.ndarray:
+    """Which base commands (n, num_cables) [m] the motors can ramp in before `latest_arrival`."""
+    return np.array([float(ramp_time(robot, row)) <= config.latest_arrival for row in base_lengths])
+
+
+def do_nothing(observation: np.ndarray, num_cables: int) -> np.ndarray:
+    """The base controller alone: a residual that never moves."""
+    return np.zeros((len(observation), num_cables), np.float32)
+
+
+class Judge:
+    """A set of targets with its own simulations; every controller gets the same parameters and the same noise."""
+
+    def __init__(self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int):
+        self._config, self._num_cables = config, robot.num_cables
+        self._environment = ResidualEnvironment(robot, config, bank, stepper, seed, rows=np.arange(len(bank.target)))
+
+    def judge(self, act: Act | None = None, advance=None) -> Judgement:
+        """Run one episode of every target; without `act`, the base controller alone.
+
+        Args:
+            act: actor observations to actions.
+            advance: called with the number of environment steps made.
+        """
+        act = act or (lambda observation: do_nothing(observation, self._num_cables))
+        environment, steps = self._environment, self._config.episode_steps
+        observation = environment.reset()
+        errors, is_valid = [], np.ones(environment.num_envs, bool)
+        tension = environment.strand_tension.copy()
+        for step in range(steps):
+            if step == steps - 1:  # the last step resets the simulations
+                tension = environment.strand_tension.copy()
+            transition = environment.step(act(observation[ACTOR_KEY]))
+            observation = transition.observation
+            is_valid &= transition.valid
+            if step >= steps - self._config.scored_steps:
+                errors.append([transition.metrics["position_error"], transition.metrics["orientation_error"]])
+            if advance:
+                advance(environment.num_envs)
+        position, orientation = np.mean(errors, axis=0)
+        return Judgement(position, orientation, tension, is_valid & np.isfinite(position) & np.isfinite(orientation))

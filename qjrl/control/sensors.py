@@ -1,0 +1,44 @@
+"""What the real robot senses: joint encoders with noise, and a memory of them.
+
+Each joint's encoders measure its bend as a rotation vector theta (cos phi, sin phi) with white noise. The joints of a
+segment bend alike, so their mean is the segment's estimate (our reading of the paper's "estimated bend angle and
+direction for each segment, derived via polynomial fitting"). The memory holds exponential means at several time
+constants, which carry what 25 raw frames would.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.joint import bend_angle
+
+# Time constants of the memory [s]; at 50 Hz they average about 5, 17 and 50 frames.
+TIME_CONSTANTS = (0.05, 0.17, 0.5)
+
+
+def rotation_vectors(bends: jax.Array) -> jax.Array:
+    """theta (cos phi, sin phi) [rad] of bends (segments, 2); smooth at 0."""
+    angles = jax.vmap(bend_angle)(bends)
+    sines = jnp.linalg.norm(bends, axis=-1)
+    ratio = jnp.where(sines > 1e-9, angles / jnp.maximum(sines, 1e-9), 2.0)
+    return bends * ratio[:, None]
+
+
+def bends_of_rotation_vectors(vectors: jax.Array) -> jax.Array:
+    """Inverse of `rotation_vectors`."""
+    half = jnp.linalg.norm(vectors, axis=-1) / 2.0
+    return vectors * (jnp.sinc(half / jnp.pi) / 2.0)[:, None]
+
+
+def read_encoders(arm: QuaternionArm, bends: jax.Array, noise_deg: float, key: jax.Array) -> jax.Array:
+    """Segment estimates (segments, 2) [rad] from true bends, with each joint's noise of `noise_deg` averaged."""
+    deviation = math.radians(noise_deg) / jnp.sqrt(jnp.array(arm.joints_per_segment, jnp.float32))
+    return rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
+
+
+def remember(memory: jax.Array, reading: jax.Array, period: float) -> jax.Array:
+    """Exponential means (constants, segments, 2) one control period [s] later."""
+    weights = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
+    return memory + weights[:, None, None] * (reading - memory)

@@ -1,0 +1,105 @@
+"""Learned forward models, cable lengths -> pose: the paper's network, and the same network as a correction.
+
+The paper's form maps scaled lengths to the pose. The corrected form works in the arm's own coordinates: the nominal
+bends of the lengths go in, the correction to the bends comes out (what joint encoders measure), and the closed-form
+kinematics makes the pose of them. Sag, strand stretch and friction bend the joints; the links stay rigid, so nothing
+is lost, and the network learns eight small smooth numbers instead of the kinematics of the whole arm.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qjrl.artifacts import ArtifactError
+from qjrl.config import Range, as_mapping, build
+from qjrl.learning.fitting import FitConfig, FittedNetwork, predict
+from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
+from qjrl.learning.parameters import load_parameters, save_parameters
+from qjrl.robot.loading import robot_hash
+from qjrl.robot.verbs import Robot, bends_from_cables, cable_strokes, forward_kinematics
+
+PoseFunction = Callable[[jax.Array], jax.Array]
+
+
+@dataclasses.dataclass(frozen=True)
+class ForwardModelConfig:
+    """Group `forward_model`."""
+
+    form: Literal["paper", "corrected"] = "corrected"
+    """"paper": scaled lengths -> pose; "corrected": nominal bends -> correction of the bends, then the kinematics."""
+    network: NetworkConfig = NetworkConfig()
+    """Size of the network."""
+    fit: FitConfig = FitConfig()
+    """How it is fitted."""
+    held_out: Annotated[float, Range(above=0.0, high=0.5)] = 0.1
+    """Share of the rows that the fit never sees; errors are reported on them."""
+
+
+@struct.dataclass
+class ForwardModel:
+    """A fitted model of one robot; `pose_function` makes the plain function that solvers take."""
+
+    fitted: FittedNetwork
+    config: ForwardModelConfig = struct.field(pytree_node=False)
+
+
+def model_inputs(robot: Robot, form: str, lengths: jax.Array) -> jax.Array:
+    """What enters the network, scaled to [-1, 1], from cable lengths (num_cables,) [m]."""
+    if form == "paper":
+        return lengths / cable_strokes(robot)
+    return bends_from_cables(robot, lengths).reshape(-1) / jnp.sin(robot.bend_limit / 2.0)
+
+
+def model_pose(robot: Robot, form: str, lengths: jax.Array, answer: jax.Array) -> jax.Array:
+    """Pose (9,) from the network's answer at cable lengths (num_cables,) [m]."""
+    if form == "paper":
+        return answer
+    bends = bends_from_cables(robot, lengths)
+    return forward_kinematics(robot, bends + answer.reshape(bends.shape))
+
+
+def pose_function(robot: Robot, model: ForwardModel | None) -> PoseFunction:
+    """The plain function lengths (num_cables,) [m] -> pose (9,); without a model, the nominal closed form."""
+    if model is None:
+        return lambda lengths: forward_kinematics(robot, bends_from_cables(robot, lengths))
+    form, network = model.config.form, make_network(robot, model.config)
+
+    def pose(lengths: jax.Array) -> jax.Array:
+        answer = predict(network, model.fitted, model_inputs(robot, form, lengths))
+        return model_pose(robot, form, lengths, answer)
+
+    return pose
+
+
+def make_network(robot: Robot, config: ForwardModelConfig) -> FourierResidualNetwork:
+    """The network of a configuration, untrained."""
+    return FourierResidualNetwork(config.network, 9 if config.form == "paper" else robot.num_cables)
+
+
+def save_forward_model(path: Path, robot: Robot, model: ForwardModel) -> None:
+    """Write `path`.npz (parameters, normaliser) and `path`.json (what they mean)."""
+    tree = {
+        "parameters": jax.tree.map(np.asarray, model.fitted.parameters),
+        "output_mean": np.asarray(model.fitted.output_mean),
+        "output_std": np.asarray(model.fitted.output_std),
+    }
+    save_parameters(path, tree, {"robot_hash": robot_hash(robot), "config": as_mapping(model.config)})
+
+
+def load_forward_model(path: Path, robot: Robot) -> ForwardModel:
+    """Read what `save_forward_model` wrote.
+
+    Raises:
+        ArtifactError: missing, truncated, or of another robot.
+    """
+    tree, description = load_parameters(path)
+    if description.get("robot_hash") != robot_hash(robot):
+        raise ArtifactError(f"{path}.json: belongs to another robot than {robot.name}")
+    fitted = FittedNetwork(**jax.tree.map(jnp.asarray, tree))
+    return ForwardModel(fitted, build(ForwardModelConfig, description["config"]))

@@ -1,0 +1,46 @@
+"""Bends from uniform numbers: evenly over the feasible discs, evenly in angle, and at a distance from home."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.joint import bends_from_angles
+from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
+
+# Halvings of the scale of a direction in bend space: 1 / 2^40 of the limit.
+_BISECTIONS = 40
+
+
+def bends_from_unit_cube(arm: QuaternionArm, numbers: Float[Array, "bends"]) -> Float[Array, "segments 2"]:
+    """Bends evenly over each segment's disc |a| <= sin(limit/2), from numbers in [0, 1): for data sets."""
+    radial, turn = numbers.reshape(arm.num_segments, 2).T
+    radius = jnp.sin(arm.bend_limit / 2.0) * jnp.sqrt(radial)
+    return radius[:, None] * jnp.stack([jnp.cos(2 * jnp.pi * turn), jnp.sin(2 * jnp.pi * turn)], axis=1)
+
+
+def uniform_bends(arm: QuaternionArm, key: jax.Array) -> Float[Array, "segments 2"]:
+    """Bends with theta uniform in [0, limit] and phi uniform: the paper's law of test poses (section 5.2)."""
+    key_angle, key_direction = jax.random.split(key)
+    angle = jax.random.uniform(key_angle, (arm.num_segments,)) * arm.bend_limit
+    direction = jax.random.uniform(key_direction, (arm.num_segments,)) * 2 * jnp.pi
+    return bends_from_angles(direction, angle)
+
+
+def bends_at_distance(arm: QuaternionArm, key: jax.Array, distance: Float[Array, ""]) -> Float[Array, "segments 2"]:
+    """Bends in a random direction of bend space, scaled until the tip is `distance` [m] away from its home.
+
+    Where the direction's longest feasible bends do not reach so far, those are returned.
+    """
+    home = forward_kinematics(arm, jnp.zeros((arm.num_segments, 2)))[:3]
+    direction = jax.random.normal(key, (arm.num_segments, 2))
+    largest = direction * jnp.sin(arm.bend_limit / 2.0) / jnp.max(jnp.linalg.norm(direction, axis=1))
+
+    def halve(_, bounds):
+        low, high = bounds
+        middle = (low + high) / 2.0
+        is_short = jnp.linalg.norm(forward_kinematics(arm, middle * largest)[:3] - home) < distance
+        return jnp.where(is_short, middle, low), jnp.where(is_short, high, middle)
+
+    _, scale = jax.lax.fori_loop(0, _BISECTIONS, halve, (jnp.zeros(()), jnp.ones(())))
+    return scale * largest

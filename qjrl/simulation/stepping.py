@@ -1,0 +1,174 @@
+"""Step many arms in time, each with its own physical parameters: batches of C MuJoCo in threads."""
+
+import dataclasses
+import os
+from collections.abc import Mapping
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from qjrl.robot import build_mjcf
+from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.verbs import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class Readout:
+    """The physics of all simulations after a step; arrays are live views, copy what must last."""
+
+    joint_positions: np.ndarray
+    """(n, nq) [rad, m]."""
+    joint_velocities: np.ndarray
+    """(n, nv) [rad/s, m/s]."""
+    strand_lengths: np.ndarray
+    """(n, strands) [m]."""
+    strand_velocities: np.ndarray
+    """(n, strands) [m/s]."""
+    strand_tension: np.ndarray
+    """(n, strands) [N]."""
+    pose: np.ndarray
+    """(n, 9) [m, -]."""
+    is_finite: np.ndarray
+    """(n,) False where the simulation diverged since its last reset."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PhysicalParameters:
+    """What may differ between simulations, one value a simulation; ones, zeros and the robot's gravity are nominal."""
+
+    strand_damping_scale: np.ndarray
+    """(n,) times the robot's."""
+    strand_friction: np.ndarray
+    """(n,) dry friction along every strand [N]."""
+    armature_scale: np.ndarray
+    """(n,) times the robot's."""
+    gain_scale: np.ndarray
+    """(n,) times the strand servo's stiffness."""
+    tilt: np.ndarray
+    """(n, 2) rotation of gravity about the base's x and y [rad]."""
+
+    @classmethod
+    def nominal(cls, robot: Robot, count: int) -> "PhysicalParameters":
+        """The robot as described, `count` times."""
+        one = np.ones(count)
+        return cls(one, np.full(count, robot.config.strands.friction), one, one, np.zeros((count, 2)))
+
+
+class Stepper(Protocol):
+    """Many simulations of one robot, stepped together: the one contract of both engines."""
+
+    num_sims: int
+    timestep: float
+
+    def reset(
+        self, ids: np.ndarray, joint_positions: np.ndarray, strand_commands: np.ndarray, parameters: PhysicalParameters
+    ) -> None:
+        """Put simulations `ids` at rest at joint positions, holding commands, with new parameters."""
+        ...
+
+    def step(self, strand_commands: np.ndarray, num_steps: int) -> None:
+        """Hold rest lengths (n, strands) [m] for `num_steps` time steps."""
+        ...
+
+    def read(self) -> Readout:
+        """The state of all simulations now."""
+        ...
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that a bitwise continuation needs."""
+        ...
+
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go back to what `get_state` returned."""
+        ...
+
+
+class MujocoStepper:
+    """`num_sims` simulations of one robot on the CPU's cores, stepped together."""
+
+    def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004, num_threads: int = 0):
+        self.model = mujoco.MjModel.from_xml_string(build_mjcf(robot, SolverOptions(timestep=timestep)))
+        self.num_sims, self.timestep, self.num_strands = num_sims, timestep, robot.num_strands
+        self._batch = batch.Batch(self.model, num_sims, num_threads or os.cpu_count() or 1)
+        self._positions, self._velocities = self._batch.bind("qpos"), self._batch.bind("qvel")
+        self._lengths, self._rates = self._batch.bind("ten_length"), self._batch.bind("ten_velocity")
+        self._force, self._warning = self._batch.bind("actuator_force"), self._batch.warning
+        tip = self._batch.site("tip")
+        self._tip_position, self._tip_rotation = tip.xpos, tip.xmat
+        self._has_failed = np.zeros(num_sims, bool)
+        self._parameters = PhysicalParameters.nominal(robot, num_sims)
+        self._set_parameters(np.arange(num_sims))
+
+    def reset(
+        self, ids: np.ndarray, joint_positions: np.ndarray, strand_commands: np.ndarray, parameters: PhysicalParameters
+    ) -> None:
+        """Put simulations `ids` at rest at joint positions (len(ids), nq), holding commands, with new parameters."""
+        for field in dataclasses.fields(PhysicalParameters):
+            getattr(self._parameters, field.name)[ids] = getattr(parameters, field.name)
+        self._set_parameters(ids)
+        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._positions[ids], self._velocities[ids] = joint_positions, 0.0
+        self._batch.ctrl[ids] = strand_commands
+        self._has_failed[ids] = False
+        self._batch.forward(ids)
+
+    def step(self, strand_commands: np.ndarray, num_steps: int) -> None:
+        """Hold rest lengths (n, strands) [m] for `num_steps` time steps; a simulation that fails stays where it was."""
+        self._batch.ctrl[:] = strand_commands
+        try:
+            self._batch.step(nstep=num_steps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        except batch.SimulationError as error:
+            self._has_failed[list(error.ids)] = True
+
+    def read(self) -> Readout:
+        """The state of all simulations now."""
+        rotation = self._tip_rotation.reshape(-1, 3, 3)
+        pose = np.concatenate([self._tip_position, rotation[:, :, 0], rotation[:, :, 1]], axis=1)
+        has_warned = self._warning[:, :, 1].any(axis=1)
+        is_finite = ~(has_warned | self._has_failed) & np.isfinite(pose).all(axis=1)
+        strands = slice(0, self.num_strands)
+        return Readout(
+            self._positions,
+            self._velocities,
+            self._lengths[:, strands],
+            self._rates[:, strands],
+            -self._force,
+            pose,
+            is_finite,
+        )
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that a bitwise continuation needs."""
+        parameters = {
+            field.name: getattr(self._parameters, field.name).copy() for field in dataclasses.fields(PhysicalParameters)
+        }
+        return {"state": self._batch.state.copy(), "has_failed": self._has_failed.copy(), **parameters}
+
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go back to what `get_state` returned."""
+        for field in dataclasses.fields(PhysicalParameters):
+            getattr(self._parameters, field.name)[:] = state[field.name]
+        self._set_parameters(np.arange(self.num_sims))
+        self._batch.state[:] = state["state"]
+        self._has_failed[:] = state["has_failed"]
+
+    def _set_parameters(self, ids: np.ndarray) -> None:
+        model, ours, strands = self.model, self._parameters, slice(0, self.num_strands)
+        field = self._batch.expand
+        field("tendon_damping")[ids, strands] = model.tendon_damping[strands] * ours.strand_damping_scale[ids, None]
+        field("tendon_frictionloss")[ids, strands] = ours.strand_friction[ids, None]
+        field("dof_armature")[ids] = model.dof_armature * ours.armature_scale[ids, None]
+        field("actuator_gainprm")[ids] = model.actuator_gainprm * ours.gain_scale[ids, None, None]
+        field("actuator_biasprm")[ids] = model.actuator_biasprm * ours.gain_scale[ids, None, None]
+        field("opt.gravity")[ids] = _tilted(model.opt.gravity, ours.tilt[ids])
+        self._batch.set_const(ids)
+
+
+def _tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Gravity (n, 3) rotated about x, then y, by angles (n, 2) [rad]."""
+    (cx, cy), (sx, sy) = np.cos(tilt).T, np.sin(tilt).T
+    x, y, z = gravity
+    y_turned, z_turned = cx * y - sx * z, sx * y + cx * z
+    return np.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)

@@ -1,0 +1,76 @@
+"""What every inverse-kinematics solver returns, and the check of what it is asked."""
+
+import enum
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.verbs import Robot, bends_from_cables
+
+
+class Status(enum.IntEnum):
+    """How a solve ended, per target."""
+
+    CONVERGED = 0
+    STALLED = 1
+    """No further progress above the tolerance."""
+    ITERATION_LIMIT = 2
+    OUTSIDE_LIMITS = 3
+    """The answer needs a joint beyond its limit."""
+
+
+@struct.dataclass
+class SolveResult:
+    """One row a target. The errors are recomputed from `cable_lengths` by the model that was asked."""
+
+    cable_lengths: jax.Array
+    """(n, num_cables) [m] relative to home, + pays out."""
+    bends: jax.Array
+    """(n, num_segments, 2) nominal bends of these lengths."""
+    position_error: jax.Array
+    """(n,) [m], predicted."""
+    orientation_error: jax.Array
+    """(n,) [rad], predicted."""
+    converged: jax.Array
+    """(n,) both errors within tolerance and every joint within its limit."""
+    status: jax.Array
+    """(n,) a `Status`."""
+    steps: jax.Array
+    """(n,) iterations spent."""
+
+
+def check_targets(targets) -> np.ndarray:
+    """Targets as float64 (n, 9).
+
+    Raises:
+        ValueError: wrong shape, non-finite values, or columns that are not those of a rotation.
+    """
+    targets = np.asarray(targets, np.float64)
+    if targets.ndim != 2 or targets.shape[1] != 9:
+        raise ValueError(f"targets: got shape {targets.shape}, allowed: (n, 9), position [m] and two columns of a rotation")
+    if not np.all(np.isfinite(targets)):
+        raise ValueError(f"targets: got non-finite values in row {int(np.argmax(~np.isfinite(targets).all(axis=1)))}")
+    columns = targets[:, 3:].reshape(-1, 2, 3)
+    gram = np.einsum("nic,njc->nij", columns, columns)
+    is_off = np.abs(gram - np.eye(2)).max(axis=(1, 2)) > 1e-3
+    if is_off.any():
+        raise ValueError(f"targets: row {int(np.argmax(is_off))} is no rotation: its two columns must be orthonormal to 1e-3")
+    return targets
+
+
+def describe_solution(
+    robot: Robot, pose_of: PoseFunction, targets: jax.Array, lengths: jax.Array, tolerances: tuple[float, float], steps
+) -> SolveResult:
+    """Re-evaluate the model at the answers and judge them by position [m] and orientation [rad] tolerance."""
+    poses = jax.vmap(pose_of)(lengths)
+    position = jax.vmap(position_error)(poses, targets)
+    orientation = jax.vmap(orientation_error)(poses, targets)
+    bends = jax.vmap(lambda row: bends_from_cables(robot, row))(lengths)
+    is_inside = jnp.max(jnp.linalg.norm(bends, axis=-1), axis=-1) <= jnp.sin(robot.bend_limit / 2.0) + 1e-9
+    is_near = (position <= tolerances[0]) & (orientation <= tolerances[1])
+    status = jnp.where(is_inside, jnp.where(is_near, Status.CONVERGED, Status.ITERATION_LIMIT), Status.OUTSIDE_LIMITS)
+    return SolveResult(lengths, bends, position, orientation, is_near & is_inside, status, steps)
