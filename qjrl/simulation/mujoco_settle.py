@@ -62,7 +62,7 @@ class _Pool:
         while True:
             failed = self._step()
             self.steps[self.is_active] += 1
-            self.quiet_steps = np.where(self._speed() < self.config.speed_tolerance, self.quiet_steps + 1, 0)
+            self.quiet_steps = np.where(self._speed() < self.config.rest_speed, self.quiet_steps + 1, 0)
             has_warned = self.warning[:, :, 1].any(axis=1)
             is_over = (self.quiet_steps >= self.config.hold_steps) | (self.steps >= self.config.max_steps)
             finished = np.flatnonzero(self.is_active & (is_over | has_warned | failed))
@@ -78,7 +78,7 @@ class _Pool:
         result.joint_positions[rows] = self.positions[ids]
         rotation = self.tip_rotation[ids].reshape(-1, 3, 3)
         result.pose[rows] = np.concatenate([self.tip_position[ids], rotation[:, :, 0], rotation[:, :, 1]], axis=1)
-        result.strand_tension[rows] = -self.force[ids]
+        result.strand_tension[rows] = np.maximum(-self.force[ids], 0.0)
         result.speed[rows] = self._speed()[ids]
         result.steps[rows] = self.steps[ids]
         result.converged[rows] = converged & np.isfinite(result.pose[rows]).all(axis=1)

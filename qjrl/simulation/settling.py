@@ -26,7 +26,7 @@ class SettleConfig:
     timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
     """Time step [s]."""
     speed_tolerance: Annotated[float, Range(above=0.0, high=0.1)] = 1e-4
-    """At rest: mean |joint velocity| below this [rad/s]. MJX in float32 rests at up to 1.2e-4."""
+    """At rest: mean |joint velocity| below this [rad/s] at the robot's own damping, see `rest_speed`."""
     hold_time: Annotated[float, Range(above=0.0, high=10.0)] = 0.05
     """... for this long [s]."""
     max_time: Annotated[float, Range(above=0.0, high=600.0)] = 6.0
@@ -46,6 +46,11 @@ class SettleConfig:
     def solver(self) -> SolverOptions:
         """The physics' numerical settings while settling."""
         return SolverOptions(timestep=self.timestep, damping_scale=self.damping_scale)
+
+    @property
+    def rest_speed(self) -> float:
+        """Mean |joint velocity| that counts as rest [rad/s]: with s times the damping, what is left to move creeps s times slower."""
+        return self.speed_tolerance / max(self.damping_scale, 1.0)
 
     @property
     def hold_steps(self) -> int:
@@ -83,6 +88,12 @@ class SettleResult:
     def is_slack(self) -> np.ndarray:
         """(n, strands) whether a strand carries no tension."""
         return self.strand_tension < SLACK_TENSION
+
+    @property
+    def motor_force(self) -> np.ndarray:
+        """(n, cables) force that each motor holds [N]: the difference of its loop's two strands, to compare with the bound
+        `motors.force`. The physics does not clip it: a pose that needs more is one that the real arm does not reach."""
+        return self.strand_tension[:, 0::2] - self.strand_tension[:, 1::2]
 
 
 @dataclasses.dataclass(frozen=True)
