@@ -50,7 +50,7 @@ def save(
     checkpoints: ocp.CheckpointManager,
     step: int,
     state: Any,
-    metrics: Mapping[str, float] | None = None,
+    metrics: Mapping[str, float | None] | None = None,
     environment: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Writes one checkpoint and drops those that are neither latest nor best.
@@ -107,7 +107,7 @@ def _check_identity(directory: Path, identity: str) -> None:
 
 
 def _score_of(name: str) -> Any:
-    def score(metrics: Mapping[str, float]) -> float:
+    def score(metrics: Mapping[str, float | None]) -> float:
         value = metrics[name]
         return value if value is not None and math.isfinite(value) else math.inf  # NaN has no place in a sort
 

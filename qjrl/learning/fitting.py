@@ -52,9 +52,9 @@ class FittedNetwork:
     """What a prediction needs beside the network's structure. All float32."""
 
     parameters: Any
-    output_mean: jax.Array
+    output_mean: Any
     """(outputs,) mean of the training targets."""
-    output_std: jax.Array
+    output_std: Any
     """(outputs,) their standard deviation."""
 
 
@@ -74,15 +74,16 @@ class FitState:
 
     parameters: Any
     optimiser_state: Any
-    order_key: jax.Array
+    order_key: Any
 
 
 @struct.dataclass
 class Rows:
     """The training data on the device, float32."""
 
-    inputs: jax.Array
-    targets: jax.Array
+    inputs: Any
+    """(rows, n)."""
+    targets: Any
     """(rows, outputs), normalised."""
 
 

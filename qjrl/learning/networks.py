@@ -3,9 +3,9 @@
 import dataclasses
 from typing import Annotated
 
-import jax
 import jax.numpy as jnp
 from flax import linen
+from jaxtyping import Array, Float
 
 from qjrl.config import Range
 
@@ -34,7 +34,7 @@ class FourierResidualNetwork(linen.Module):
     output_size: int
 
     @linen.compact
-    def __call__(self, inputs: jax.Array) -> jax.Array:
+    def __call__(self, inputs: Float[Array, "*batch n"]) -> Float[Array, "*batch outputs"]:
         """(..., n) in [-1, 1] -> (..., output_size)."""
         width = self.config.width
         hidden = fourier_features(inputs.astype(jnp.float32), self.config.num_frequencies)
@@ -46,7 +46,7 @@ class FourierResidualNetwork(linen.Module):
         return linen.Dense(self.output_size, kernel_init=kernel_init, name="output")(linen.gelu(hidden))
 
 
-def fourier_features(inputs: jax.Array, num_frequencies: int) -> jax.Array:
+def fourier_features(inputs: Float[Array, "*batch n"], num_frequencies: int) -> Float[Array, "*batch features"]:
     """The inputs beside sin and cos(2^j pi x), j = 0 .. num_frequencies - 1.
 
     Args:

@@ -31,7 +31,7 @@ def test_the_default_network_has_the_size_of_the_paper():
 def test_the_network_equals_its_formula():
     network = FourierResidualNetwork(SMALL, output_size=2)
     inputs = jax.random.uniform(jax.random.key(0), (5, 3), jnp.float32, -1, 1)
-    parameters = network.init(jax.random.key(1), inputs)["params"]
+    parameters = jax.jit(network.init)(jax.random.key(1), inputs)["params"]
 
     def dense(name, x):
         return x @ parameters[name]["kernel"] + parameters[name]["bias"]
@@ -40,19 +40,19 @@ def test_the_network_equals_its_formula():
     for block in range(2):
         hidden = hidden + dense(f"block_{block}_outer", jax.nn.gelu(dense(f"block_{block}_inner", hidden)))
     expected = dense("output", jax.nn.gelu(hidden))
-    assert network.apply({"params": parameters}, inputs) == pytest.approx(np.asarray(expected), abs=1e-5)
+    assert jax.jit(network.apply)({"params": parameters}, inputs) == pytest.approx(np.asarray(expected), abs=1e-5)
 
 
 def test_a_zero_output_layer_predicts_zero():
     network = FourierResidualNetwork(NetworkConfig(width=16, num_blocks=1, zero_output=True), output_size=4)
     inputs = jnp.ones((3, 8))
-    answer = network.apply(network.init(jax.random.key(0), inputs), inputs)
+    answer = network.apply(jax.jit(network.init)(jax.random.key(0), inputs), inputs)
     assert np.array_equal(np.asarray(answer), np.zeros((3, 4)))
 
 
 def test_float64_inputs_are_answered_in_float32():
     network = FourierResidualNetwork(SMALL, output_size=2)
-    inputs = np.zeros((1, 3), np.float64)
-    parameters = network.init(jax.random.key(0), inputs)
+    inputs = jnp.zeros((1, 3), jnp.float64)
+    parameters = jax.jit(network.init)(jax.random.key(0), inputs)
     leaves = [*jax.tree.leaves(parameters), network.apply(parameters, inputs)]
     assert {leaf.dtype for leaf in leaves} == {jnp.dtype(jnp.float32)}

@@ -2,15 +2,20 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from qjrl.learning.ppo.brax_parts import compute_gae
 
 
 def advantages_and_returns(
-    rollout: Any, values: jax.Array, last_value: jax.Array, final_values: jax.Array, discount: float, gae_lambda: float
-) -> tuple[jax.Array, jax.Array]:
+    rollout: Any,
+    values: Float[Array, "steps envs"],
+    last_value: Float[Array, " envs"],
+    final_values: Float[Array, "steps envs"],
+    discount: float,
+    gae_lambda: float,
+) -> tuple[Float[Array, "steps envs"], Float[Array, "steps envs"]]:
     """A_t = sum over l of (gamma lambda)^l delta_{t+l} within an episode; delta = r + gamma V(next) - V.
 
     V(next) is 0 where the episode terminated, and the value of the final observation where the time limit cut it off

@@ -1,6 +1,7 @@
 """One iteration of PPO, step by step: collect, take in the statistics, value what was cut off, update."""
 
 import dataclasses
+import functools
 import math
 import time
 from collections.abc import Callable
@@ -13,7 +14,8 @@ import numpy as np
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import CRITIC_KEY
+from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
+from qjrl.learning.ppo.networks import make_networks
 from qjrl.learning.ppo.normaliser import update_normaliser
 from qjrl.learning.ppo.rollout import Collected, Rollout, collect, make_act
 from qjrl.learning.ppo.training_state import Session, TrainingState
@@ -24,17 +26,28 @@ Record = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Compiled:
-    """The compiled functions of an iteration."""
+    """The networks, and the compiled functions of an iteration on them."""
 
+    networks: PPONetworks
     act: Callable[..., Any]
     update_normaliser: Callable[..., Any]
     value: Callable[..., jax.Array]
     update: Callable[..., Any]
 
 
-def compile_functions(networks: PPONetworks, config: PPOConfig) -> Compiled:
-    """Compilation itself happens at the first call of each."""
+def compile_functions(config: PPOConfig, environment: VectorEnv) -> Compiled:
+    """The same functions for the same configuration and sizes, so that the jobs of a sweep compile once.
+
+    Compilation itself happens at the first call of each.
+    """
+    return _compile_functions(config, tuple(environment.observation_sizes.items()), environment.action_size)
+
+
+@functools.cache
+def _compile_functions(config: PPOConfig, sizes: tuple[tuple[str, int], ...], action_size: int) -> Compiled:
+    networks = make_networks(config, dict(sizes), action_size)
     return Compiled(
+        networks=networks,
         act=make_act(networks),
         update_normaliser=jax.jit(update_normaliser),
         value=jax.jit(networks.value_network.apply),

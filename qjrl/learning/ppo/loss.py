@@ -14,7 +14,7 @@ from qjrl.learning.ppo.config import PPOConfig
 class Batch:
     """Rows of experience, (rows, ...), float32."""
 
-    observation: dict[str, Any]
+    observation: Any
     raw_action: Any
     logits: Any
     """Of the policy that acted."""

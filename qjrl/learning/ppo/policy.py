@@ -16,11 +16,11 @@ ACTIVATIONS = {"swish": jax.nn.swish, "elu": jax.nn.elu, "tanh": jnp.tanh, "relu
 class Policy:
     """An actor and the statistics that normalise its observation, all float32."""
 
-    layers: dict[str, Any]
+    layers: Any
     """hidden_0, hidden_1, ... -> kernel (n, m) and bias (m,); the last gives mean and scale of every action."""
-    mean: jax.Array
+    mean: Any
     """(n,) of the observation."""
-    std: jax.Array
+    std: Any
     """(n,) of the observation."""
     activation: str = struct.field(pytree_node=False)
     observation_clip: float = struct.field(pytree_node=False)

@@ -32,7 +32,8 @@ class Action:
 class Rollout:
     """A block of experience, (steps, envs, ...). Rows that are not `valid` are finite too, and count nowhere."""
 
-    observation: dict[str, Any]
+    observation: Any
+    """{"state", "privileged_state"}."""
     raw_action: Any
     logits: Any
     log_probability: Any

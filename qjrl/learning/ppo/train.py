@@ -13,11 +13,10 @@ from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
 from qjrl.learning.ppo.iteration import Record, compile_functions, run_iteration
-from qjrl.learning.ppo.networks import make_networks
 from qjrl.learning.ppo.policy import Policy, load_policy, save_policy
 from qjrl.learning.ppo.training_state import Session, initial_state, policy_of, restore_session, save_session
 
-Evaluate = Callable[[Policy], Mapping[str, float]]
+Evaluate = Callable[[Policy], Mapping[str, float | None]]
 
 POLICY, PROGRESS, CHECKPOINTS = "policy", "progress.jsonl", "checkpoints"
 
@@ -47,7 +46,8 @@ def train(
         ArtifactError: the directory holds another training.
     """
     per_iteration, num_iterations = _sizes(config, environment)
-    networks = make_networks(config, environment.observation_sizes, environment.action_size)
+    with progress.compiling("the policy and its update"):
+        compiled = compile_functions(config, environment)
     callbacks = list(callbacks)
 
     def write(record: Record) -> None:
@@ -63,12 +63,10 @@ def train(
         _export_if_best(checkpoints, session, config, directory)
 
     with ckpt.open_checkpoints(directory / CHECKPOINTS, _identity(config, environment, seed), minimise) as checkpoints:
-        session = _begin(checkpoints, networks, config, environment, seed, directory)
+        session = _begin(checkpoints, compiled.networks, config, environment, seed, directory)
         done = int(session.state.iteration)
         if checkpoints.latest_step() is None:
             keep(session, {"iteration": 0, "env_steps": 0})
-        with progress.compiling("the policy and its update"):
-            compiled = compile_functions(networks, config)
         with progress.track(num_iterations * per_iteration, "policy", already=done * per_iteration) as advance:
             for iteration in range(done + 1, num_iterations + 1):
                 session, record = run_iteration(session, compiled, config, num_iterations)

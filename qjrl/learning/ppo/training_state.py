@@ -26,11 +26,11 @@ class TrainingState:
 
     learner: Learner
     normaliser: Normaliser
-    key: jax.Array
+    key: Any
     """Of the next iteration."""
-    iteration: jax.Array
+    iteration: Any
     """Iterations done, int32."""
-    env_steps: jax.Array
+    env_steps: Any
     """Environment steps taken over all copies, uint32."""
 
 
@@ -48,8 +48,9 @@ class Session:
 def initial_state(networks: PPONetworks, config: PPOConfig, environment: VectorEnv, seed: int) -> TrainingState:
     """The untrained state: its deterministic action is exactly zero."""
     key_parameters, key = jax.random.split(jax.random.key(seed))
+    parameters = jax.jit(lambda key: initial_parameters(networks, config.initial_std, key))(key_parameters)
     return TrainingState(
-        learner=make_learner(config, initial_parameters(networks, config.initial_std, key_parameters)),
+        learner=make_learner(config, parameters),
         normaliser=initial_normaliser(environment.observation_sizes),
         key=key,
         iteration=jnp.int32(0),
@@ -66,7 +67,7 @@ def policy_of(state: TrainingState, config: PPOConfig) -> Policy:
     )
 
 
-def save_session(checkpoints: ocp.CheckpointManager, session: Session, metrics: dict[str, float] | None) -> None:
+def save_session(checkpoints: ocp.CheckpointManager, session: Session, metrics: dict[str, float | None] | None) -> None:
     """Writes a checkpoint of both sides."""
     parts = {
         "environment": session.environment.get_state(),

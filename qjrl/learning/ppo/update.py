@@ -22,10 +22,10 @@ from qjrl.learning.ppo.rollout import Rollout
 class Learner:
     """What the gradient steps change."""
 
-    parameters: dict[str, Any]
-    """"policy" and "value"."""
+    parameters: Any
+    """{"policy", "value"}."""
     optimiser_state: Any
-    learning_rate: jax.Array
+    learning_rate: Any
 
 
 def make_learner(config: PPOConfig, parameters: dict[str, Any]) -> Learner:
@@ -44,7 +44,7 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
     ) -> tuple[Learner, dict[str, jax.Array]]:
         batch, batch_metrics = _batch(networks, config, learner.parameters, normaliser, rollout, final_values)
         key_order, key_entropy = jax.random.split(key)
-        order = _minibatches(config, batch.weight.shape[0], key_order)
+        order = minibatches(config, batch.weight.shape[0], key_order)
         keys = jax.random.split(key_entropy, order.shape[0])
 
         def step(learner: Learner, inputs: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
@@ -105,7 +105,7 @@ def _batch(
     return rows, {"explained_variance": explained, "value": _moments(values, weight)[0]}
 
 
-def _minibatches(config: PPOConfig, num_rows: int, key: jax.Array) -> jax.Array:
+def minibatches(config: PPOConfig, num_rows: int, key: jax.Array) -> jax.Array:
     """(epochs * minibatches, rows) int32: every epoch in another order; what does not divide evenly is left out."""
     size = num_rows // config.num_minibatches
 

@@ -8,7 +8,6 @@ from probe_environments import ProbeEnvironment, a_sign, nothing, the_time
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.episodes import EpisodeLog
 from qjrl.learning.ppo.iteration import compile_functions, run_iteration
-from qjrl.learning.ppo.networks import make_networks
 from qjrl.learning.ppo.policy import deterministic_action
 from qjrl.learning.ppo.training_state import Session, initial_state, policy_of
 
@@ -31,11 +30,10 @@ CONFIG = PPOConfig(
 @pytest.fixture(scope="module")
 def learn():
     """Trains on a probe; all probes share one compilation."""
-    networks = make_networks(CONFIG, {"state": 1, "privileged_state": 1}, 1)
-    compiled = compile_functions(networks, CONFIG)
+    compiled = compile_functions(CONFIG, ProbeEnvironment(nothing, lambda seen, action: seen))
 
     def train(environment, iterations):
-        state = initial_state(networks, CONFIG, environment, seed=0)
+        state = initial_state(compiled.networks, CONFIG, environment, seed=0)
         session = Session(state, environment.reset(), environment, EpisodeLog(environment.num_envs))
         for _ in range(iterations):
             session, _ = run_iteration(session, compiled, CONFIG, iterations)
