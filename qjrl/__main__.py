@@ -272,7 +272,7 @@ def _finish_sweep(sweep_dir: Path, since: float) -> int:
     rows = sweep.gather(sweep_dir, since)
     sweep.write(sweep_dir, rows)
     shown = list(dict.fromkeys(key for row in rows for key in row["metrics"] if key.endswith(HEADLINE)))
-    headers = [key.removesuffix(HEADLINE).strip(".").replace(".", "\n") for key in shown]
+    headers = ["\n".join(key.split(".")[-3:-1]) for key in shown]  # target set, controller
     table = Table("job", "status", "seconds", *headers, title=f"{sweep_dir}: median position errors in mm")
     for row in rows:
         errors = [f"{row['metrics'][key]:.3f}" if key in row["metrics"] else "" for key in shown]

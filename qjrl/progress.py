@@ -71,9 +71,11 @@ class _Rate(ProgressColumn):
 @contextmanager
 def _lines(total: int, label: str, already: int) -> Iterator[Callable[..., None]]:
     start = last = time.monotonic()
-    done, latest_note = already, ""
+    done, said, latest_note = already, -1, ""
 
     def say(now: float) -> None:
+        nonlocal said
+        said = done
         rate = (done - already) / max(now - start, 1e-9)
         left = (total - done) / rate if rate > 0 else float("inf")
         remaining = f", {_clock(left)} left" if done < total and left < float("inf") else ""
@@ -89,7 +91,8 @@ def _lines(total: int, label: str, already: int) -> Iterator[Callable[..., None]
             say(now)
 
     yield advance
-    say(time.monotonic())
+    if said != done:
+        say(time.monotonic())
 
 
 def _clock(seconds: float) -> str:
