@@ -11,6 +11,7 @@ import fcntl
 import importlib
 import logging
 import shutil
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -174,8 +175,9 @@ def _run_stage(name: str, config: Any, run_dir: Path) -> None:
     _make_room(name, out, identity)
     record = provenance(as_mapping(config), getattr(config, "seed", None), robot_hash)
     artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
+    start = time.monotonic()
     stage.load().run(config, inputs, out)
-    artifacts.mark_done(out, **identity, robot_hash=robot_hash)
+    artifacts.mark_done(out, **identity, robot_hash=robot_hash, seconds=round(time.monotonic() - start, 1))
 
 
 def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:

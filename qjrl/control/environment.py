@@ -6,8 +6,8 @@ Episodes end by the time limit alone (truncation). A diverged simulation is inva
 
 import dataclasses
 import math
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from typing import Annotated, Any
 
 import jax
@@ -86,14 +86,9 @@ class ResidualEnvironment:
         self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int, rows: np.ndarray | None = None
     ):
         self.num_envs, self.action_size = stepper.num_sims, robot.num_cables
-        self.config, self._stepper, self._rows, self._seed = config, stepper, rows, seed
+        self.config, self._robot, self._bank, self._stepper, self._rows, self._seed = config, robot, bank, stepper, rows, seed
         self._substeps = max(1, round(config.control_period / stepper.timestep))
-        begin, restart = jax.vmap(partial(_begin, robot, config, bank)), jax.vmap(partial(_restart, robot, config))
-        self._begin, self._restart = jax.jit(begin), jax.jit(restart)
-        self._begin_some = jax.jit(lambda keys, ids, rows: begin(keys[ids], rows, jnp.zeros(len(ids), bool)))
-        self._restart_some = jax.jit(partial(_restart_some, restart))
-        self._command = jax.jit(jax.vmap(partial(_command, robot, config)))
-        self._observe = jax.jit(jax.vmap(partial(_observe, robot, config)))
+        self._compiled = _compile(config)
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
         self._home_commands = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
         self.observation_sizes = {key: value.shape[1] for key, value in self.reset().items()}
@@ -103,17 +98,20 @@ class ResidualEnvironment:
         count = np.arange(self.num_envs)
         rows = np.full(self.num_envs, -1) if self._rows is None else np.asarray(self._rows)
         keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed)))(jnp.asarray(count if self._rows is None else rows))
-        begun = self._begin(keys, jnp.asarray(rows), jnp.full(self.num_envs, self._rows is None))
+        begun = self._compiled.begin(self._robot, self._bank, keys, rows, np.full(self.num_envs, self._rows is None))
         self._reset_physics(count, begun.parameters)
-        self._state, observation = self._restart(begun.state, _truth(self._stepper.read()))
+        everyone = np.arange(self.num_envs)
+        self._state, observation = self._compiled.restart(self._robot, begun.state, begun.state, _truth(self._stepper.read()), everyone)
+        self._held = np.tile(self._home_commands, (self.num_envs, 1))
         return _as_numpy(observation)
 
     def step(self, actions: Any) -> Transition:
         """One control period: residual and base to the motors, physics, sensors, reward."""
-        planned, commands = self._command(self._state, jnp.asarray(actions, self._state.residual.dtype))
-        self._stepper.step(np.asarray(commands), self._substeps)
+        planned, commands = self._compiled.command(self._robot, self._state, jnp.asarray(actions, self._state.residual.dtype))
+        self._held = np.asarray(commands)
+        self._stepper.step(self._held, self._substeps)
         readout = self._stepper.read()
-        outcome = self._observe(planned, _truth(readout))
+        outcome = self._compiled.observe(self._robot, planned, _truth(readout))
         self._state = outcome.state
         valid = np.array(readout.is_finite)
         truncated = np.asarray(outcome.is_over) & valid
@@ -130,6 +128,10 @@ class ResidualEnvironment:
             valid=valid,
             metrics={name: np.where(valid, np.asarray(value), np.nan) for name, value in outcome.metrics.items()},
         )
+
+    def step_physics(self) -> None:
+        """Advance the physics alone by one control period, commands held: the bare rate to compare with."""
+        self._stepper.step(self._held, self._substeps)
 
     @property
     def commands(self) -> np.ndarray:
@@ -159,9 +161,10 @@ class ResidualEnvironment:
         """New episodes for arms `ids`; the observation of the others stays."""
         padded = np.resize(ids, _padded_size(len(ids), self.num_envs))  # repeats ids: few sizes to compile
         rows = np.full(len(padded), -1) if self._rows is None else np.asarray(self._rows)[padded]
-        begun = self._begin_some(self._state.key, padded, rows)
+        not_first = np.zeros(len(padded), bool)
+        begun = self._compiled.begin(self._robot, self._bank, self._state.key[padded], rows, not_first)
         self._reset_physics(ids, {name: value[: len(ids)] for name, value in _as_numpy(begun.parameters).items()})
-        self._state, first = self._restart_some(self._state, begun.state, _truth(self._stepper.read()), padded)
+        self._state, first = self._compiled.restart(self._robot, self._state, begun.state, _truth(self._stepper.read()), padded)
         changed = {key: value.copy() for key, value in observation.items()}
         for key, value in _as_numpy(first).items():
             changed[key][ids] = value[: len(ids)]
@@ -170,6 +173,26 @@ class ResidualEnvironment:
     def _reset_physics(self, ids: np.ndarray, parameters: Mapping[str, jax.Array]) -> None:
         values = PhysicalParameters(**{name: np.asarray(value) for name, value in parameters.items()})
         self._stepper.reset(ids, self._home, self._home_commands, values)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Compiled:
+    """The environment's pure functions over many arms; compiled once for all environments of a configuration."""
+
+    begin: Callable[..., Any]
+    restart: Callable[..., Any]
+    command: Callable[..., Any]
+    observe: Callable[..., Any]
+
+
+@cache
+def _compile(config: EnvironmentConfig) -> _Compiled:
+    return _Compiled(
+        begin=jax.jit(jax.vmap(partial(_begin, config), in_axes=(None, None, 0, 0, 0))),
+        restart=jax.jit(partial(_restart_some, jax.vmap(partial(_restart, config), in_axes=(None, 0, 0)))),
+        command=jax.jit(jax.vmap(partial(_command, config), in_axes=(None, 0, 0))),
+        observe=jax.jit(jax.vmap(partial(_observe, config), in_axes=(None, 0, 0))),
+    )
 
 
 @struct.dataclass
@@ -187,7 +210,7 @@ class _Outcome:
     metrics: dict[str, jax.Array]
 
 
-def _begin(robot: Robot, config: EnvironmentConfig, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array) -> _Begun:
+def _begin(config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array) -> _Begun:
     """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
     key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
@@ -210,7 +233,7 @@ def _begin(robot: Robot, config: EnvironmentConfig, bank: Bank, key: jax.Array, 
     return _Begun(state, draw_parameters(config.randomisation, key_parameters))
 
 
-def _restart(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState):
+def _restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
     """First reading and first observation of an episode, from the physics at rest at home."""
     key_noise, key_next = jax.random.split(state.key)
     bends = configuration_from_joint_positions(robot, truth.joint_positions)
@@ -218,16 +241,16 @@ def _restart(robot: Robot, config: EnvironmentConfig, state: ControlState, truth
     errors = _errors(truth, state)
     memory = jnp.broadcast_to(reading, state.memory.shape)
     state = state.replace(reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next)
-    return state, _observation(robot, config, state, truth, errors)
+    return state, _observation(config, robot, state, truth, errors)
 
 
-def _restart_some(restart, states: ControlState, fresh: ControlState, truth: TrueState, ids: jax.Array):
+def _restart_some(restart, robot: Robot, states: ControlState, fresh: ControlState, truth: TrueState, ids: jax.Array):
     """`_restart` for simulations `ids` among all; the states of the others stay."""
-    fresh, first = restart(fresh, jax.tree.map(lambda value: value[ids], truth))
+    fresh, first = restart(robot, fresh, jax.tree.map(lambda value: value[ids], truth))
     return jax.tree.map(lambda old, new: old.at[ids].set(new), states, fresh), first
 
 
-def _command(robot: Robot, config: EnvironmentConfig, state: ControlState, action: jax.Array):
+def _command(config: EnvironmentConfig, robot: Robot, state: ControlState, action: jax.Array):
     """The next control state's commands and the strands' rest lengths: base and residual summed before one limiter."""
     period = config.control_period
     residual = motors.move_residual(config.residual, state.residual, action, period)
@@ -237,7 +260,7 @@ def _command(robot: Robot, config: EnvironmentConfig, state: ControlState, actio
     return state.replace(residual=residual, command=command, actions=actions), strand_commands(robot, command)
 
 
-def _observe(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState) -> _Outcome:
+def _observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> _Outcome:
     """Sensors, reward and end of episode after the physics has moved."""
     key_noise, key_next = jax.random.split(state.key)
     bends = configuration_from_joint_positions(robot, truth.joint_positions)
@@ -245,25 +268,23 @@ def _observe(robot: Robot, config: EnvironmentConfig, state: ControlState, truth
     memory = remember(state.memory, reading, config.control_period).astype(state.memory.dtype)
     state = state.replace(step=state.step + 1, reading=reading, memory=memory, key=key_next)
     errors = _errors(truth, state)
-    has_arrived = _ramp(robot, config, state) >= 1.0
+    has_arrived = _ramp(config, robot, state) >= 1.0
     step_reward = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
-    is_scored = state.step > config.episode_steps - config.scored_steps
     metrics = {
         "position_error": errors[0],
         "orientation_error": errors[1],
-        "scored_position_error": jnp.where(is_scored, errors[0], jnp.nan),
         "residual": jnp.max(jnp.abs(state.residual)),
     }
-    observation = _observation(robot, config, state, truth, errors)
+    observation = _observation(config, robot, state, truth, errors)
     return _Outcome(state, observation, step_reward, state.step >= state.episode_steps, metrics)
 
 
-def _observation(robot: Robot, config: EnvironmentConfig, state: ControlState, truth: TrueState, errors: jax.Array) -> dict[str, jax.Array]:
-    actor = actor_observation(robot, state, _ramp(robot, config, state))
+def _observation(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array) -> dict[str, jax.Array]:
+    actor = actor_observation(robot, state, _ramp(config, robot, state))
     return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors)}
 
 
-def _ramp(robot: Robot, config: EnvironmentConfig, state: ControlState) -> jax.Array:
+def _ramp(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
     """How much of the base command is ramped in, 0 to 1."""
     duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
     return jnp.minimum(state.step * config.control_period / duration, 1.0)

@@ -1,0 +1,64 @@
+"""Every controller on the same held-out targets: same physics, same randomisation, same noise."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from qjrl.control.judging import Judge, Judgement, arrives_in_time
+from qjrl.control.policy_training import PolicyConfig, acting, bank_of
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.policy import Policy
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.settling import SettleConfig
+
+# Offset of the run's seed: arms that no training and no earlier judgement has seen.
+_COMPARE_SEED = 4_000_003
+
+
+def compare_controllers(
+    robot: Robot,
+    simulation: SettleConfig,
+    config: PolicyConfig,
+    policy: Policy,
+    targets: Mapping[str, np.ndarray],
+    seed: int,
+    advance=None,
+) -> dict[tuple[str, str], tuple[Judgement, int]]:
+    """(target set, controller) -> judgement, and how many targets were left out.
+
+    Args:
+        config: as the policy was trained.
+        targets: columns of `ik/held_out.npz`. Left out are targets at which one of the base commands arrives too
+            late, and those on which any controller's simulation diverged: all controllers keep the same rows.
+    """
+    controllers = {
+        "nominal": ("nominal", None),
+        "learned_ik": ("learned", None),
+        "learned_ik+residual": (config.base, acting(policy)),
+    }
+    in_time = np.all([arrives_in_time(robot, config.environment, targets[f"{base}_lengths"]) for base in ("nominal", "learned")], axis=0)
+    rows = np.flatnonzero(in_time)
+    found = {}
+    for name, (base, act) in controllers.items():
+        stepper = make_stepper(robot, len(rows), simulation)
+        judge = Judge(robot, config.environment, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)
+        found[name] = judge.judge(act, advance)
+    is_valid = np.all([one.is_valid for one in found.values()], axis=0)
+    return {
+        (target_set, name): _of_set(one, rows, is_valid, targets["target_set"] == index)
+        for index, target_set in enumerate(TARGET_SETS)
+        for name, one in found.items()
+    }
+
+
+def _of_set(judgement: Judgement, rows: np.ndarray, is_valid: np.ndarray, is_in_set: np.ndarray) -> tuple[Judgement, int]:
+    """The valid rows of one target set, and how many of its targets are missing."""
+    kept = is_valid & is_in_set[rows]
+    return _rows(judgement, kept), int(is_in_set.sum() - kept.sum())
+
+
+def _rows(judgement: Judgement, rows: np.ndarray) -> Judgement:
+    return Judgement(
+        judgement.position_error[rows], judgement.orientation_error[rows], judgement.strand_tension[rows], judgement.is_valid[rows]
+    )

@@ -1,0 +1,108 @@
+"""Train the residual policy on a target bank, judging it on targets set apart, and measure what learning costs."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qjrl.config import ConfigError, Range
+from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.control.judging import Judge, Judgement, arrives_in_time
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.policy import Policy, deterministic_action
+from qjrl.learning.ppo.train import train
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.settling import SettleConfig
+
+Arrays = Mapping[str, np.ndarray]
+
+# Offset of the run's seed for the arms on which the policy is judged while it trains.
+_JUDGE_SEED = 3_000_003
+# Control steps over which the rate of bare batch stepping is measured.
+_BARE_STEPS = 40
+
+
+@dataclasses.dataclass(frozen=True)
+class PolicyConfig:
+    """Group `policy`."""
+
+    base: Literal["learned", "nominal"] = "learned"
+    """Whose commands the residual is added to."""
+    num_envs: Annotated[int, Range(2, 1_000_000)] = 512
+    """Arms stepped together; the paper has 2048 on a GPU."""
+    num_judged: Annotated[int, Range(1, 100_000)] = 32
+    """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
+    environment: EnvironmentConfig = EnvironmentConfig()
+    ppo: PPOConfig = PPOConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedPolicy:
+    """The policy to keep and what its training said."""
+
+    policy: Policy
+    left_out: dict[str, int]
+    """Target set -> targets of the bank whose base command the motors cannot ramp in in time."""
+    bare_steps_per_second: float
+    """Control steps a second of the same arms, physics alone."""
+
+
+def train_policy(
+    robot: Robot, simulation: SettleConfig, config: PolicyConfig, targets: Arrays, seed: int, directory: Path
+) -> TrainedPolicy:
+    """PPO on the bank; goes on where an interrupted training in `directory` stopped.
+
+    Args:
+        targets: columns of `ik/bank.npz`. The last `num_judged` rows of each set that arrive in time are set apart.
+    Raises:
+        ConfigError: the bank has too few targets.
+    """
+    in_time = arrives_in_time(robot, config.environment, targets[f"{config.base}_lengths"])
+    rows = [np.flatnonzero((targets["target_set"] == index) & in_time) for index in range(len(TARGET_SETS))]
+    for name, found in zip(TARGET_SETS, rows, strict=True):
+        if len(found) <= config.num_judged:
+            raise ConfigError(f"policy.num_judged: got {config.num_judged}, allowed: fewer than the {len(found)} {name} targets of the bank")
+    trained_on = np.concatenate([found[: -config.num_judged] for found in rows])
+    judged = np.concatenate([found[-config.num_judged :] for found in rows])
+    judge_stepper = make_stepper(robot, len(judged), simulation)
+    judge = Judge(robot, config.environment, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
+    stepper = make_stepper(robot, config.num_envs, simulation)
+    environment = ResidualEnvironment(robot, config.environment, bank_of(targets, config.base, trained_on), stepper, seed)
+    evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
+    policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm")
+    left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
+    return TrainedPolicy(policy, left_out, _bare_rate(environment))
+
+
+def bank_of(targets: Arrays, base: str, rows: np.ndarray) -> Bank:
+    """Targets and base commands ("learned" or "nominal") of some rows of a target bank."""
+    return Bank(jnp.asarray(targets["target"][rows]), jnp.asarray(targets[f"{base}_lengths"][rows]))
+
+
+def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:
+    """The deterministic policy as a function of the actor's observations."""
+    act = jax.jit(deterministic_action)
+    return lambda observation: np.asarray(act(policy, observation))
+
+
+def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
+    """Median errors on every set, and over all: by which the policy to keep is chosen."""
+    millimetres, is_valid = 1e3 * judgement.position_error, judgement.is_valid
+    medians = {f"{name}_median_mm": float(np.median(millimetres[is_valid & (target_set == i)])) for i, name in enumerate(TARGET_SETS)}
+    return medians | {"median_mm": float(np.median(millimetres[is_valid]))}
+
+
+def _bare_rate(environment: ResidualEnvironment) -> float:
+    """Control steps a second of the same randomised arms, without sensors, rewards or learning."""
+    environment.step_physics()
+    start = time.perf_counter()
+    for _ in range(_BARE_STEPS):
+        environment.step_physics()
+    return _BARE_STEPS * environment.num_envs / (time.perf_counter() - start)

@@ -1,0 +1,130 @@
+"""Stage `compare`: every controller on the same held-out targets, and the report of the run."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from qjrl import artifacts, progress
+from qjrl.analysis import metrics as measures
+from qjrl.analysis import sections
+from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.report import Report, write_report
+from qjrl.analysis.report_html import Number
+from qjrl.analysis.tables import as_text
+from qjrl.control.comparison import compare_controllers
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.policy import load_policy
+from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.settling import SLACK_TENSION, SettleConfig
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    policy: PolicyConfig
+    name: str
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `outcomes.npz` and `report.html`; the table goes to the log."""
+    robot = robot_from_mapping(config.robot)
+    targets = artifacts.load(inputs["ik"] / "held_out.npz")
+    policy = load_policy(inputs["policy"] / "policy")
+    total = 3 * len(targets["target"]) * config.policy.environment.episode_steps
+    with progress.track(total, "comparing controllers") as advance:
+        judged = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
+    outcomes = [
+        Outcome(name, target_set, one.position_error, one.orientation_error, one.strand_tension, one.strand_tension < SLACK_TENSION, left_out)
+        for (target_set, name), (one, left_out) in judged.items()
+    ]
+    verdict = measures.judge_residual(outcomes)
+    artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
+    artifacts.write_json(
+        out / "metrics.json",
+        {"headline": verdict.headline, "ratios": verdict.ratios, "controllers": measures.metrics_of(outcomes)},
+    )
+    write_report(out / "report.html", _report(config, robot, inputs, out, outcomes, targets))
+    log.info("%s", as_text(measures.error_table(outcomes)))
+    log.info("%s", as_text(measures.tension_table(outcomes)))
+    log.info("%s. %s", verdict.headline, verdict.detail)
+
+
+def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
+    """Raw errors of every controller, named "SET/CONTROLLER/QUANTITY"."""
+    return {
+        f"{outcome.target_set}/{outcome.controller}/{quantity}": getattr(outcome, quantity)
+        for outcome in outcomes
+        for quantity in ("position_error", "orientation_error", "strand_tension")
+    }
+
+
+def _report(config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets) -> Report:
+    verdict = measures.judge_residual(outcomes)
+    data = artifacts.load(inputs["sample"], robot_hash(robot))
+    fitted, inverted, trained = (artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy"))
+    unsettled = int(np.sum(~data["converged"]))
+    return Report(
+        title=f"{robot.name}, run {config.name}",
+        headline=verdict.headline,
+        detail=verdict.detail,
+        holds=verdict.holds,
+        summary=_summary(outcomes, fitted, trained),
+        warnings=sections.warnings_of(outcomes, len(data["seed"]), unsettled),
+        sections=(
+            sections.results_section(outcomes, _RESULTS_TEXT, config.robot["strands"]["pretension"]),
+            _arm_section(robot, targets),
+            sections.sample_section(robot, data),
+            sections.forward_model_section(fitted, artifacts.load(inputs["forward_model"] / "progress.jsonl")),
+            sections.ik_section(targets, inverted, TARGET_SETS),
+            _policy_section(inputs["policy"], trained),
+        ),
+        durations={stage: artifacts.done_marker(path)["seconds"] for stage, path in inputs.items()},
+        provenance=artifacts.load(out / artifacts.PROVENANCE),
+    )
+
+
+def _summary(outcomes: list[Outcome], fitted: dict, trained: dict) -> tuple[Number, ...]:
+    headline_set = TARGET_SETS[0]
+    medians = {one.controller: float(np.median(one.position_error_mm)) for one in outcomes if one.target_set == headline_set}
+    labels = {"nominal": "nominal closed form", "learned_ik": "learned IK", "learned_ik+residual": "with residual"}
+    return (
+        *(Number(labels[name], value, "mm", "median, randomised physics") for name, value in medians.items()),
+        Number("forward model", fitted["held_out"]["median_mm"], "mm", "held-out median"),
+        Number("training rate", trained["steps_per_second"], "steps/s", f"{100 * trained['share_of_bare_rate']:.0f} % of bare physics"),
+    )
+
+
+def _arm_section(robot: Robot, targets):
+    rows = np.flatnonzero(targets["target_set"] == 0)[:3]
+    positions = targets["learned_joint_positions"][rows]
+    bends = np.stack([configuration_from_joint_positions(robot, row) for row in positions])
+    return sections.arm_section(robot, bends, targets["target"][rows], positions[0])
+
+
+def _policy_section(directory: Path, trained: dict):
+    numbers = (
+        Number("environment steps", trained["env_steps"]),
+        Number("rate", trained["steps_per_second"], "steps/s", f"bare physics: {trained['bare_steps_per_second']:.0f}"),
+        Number("diverged steps", trained["invalid_steps"]),
+    )
+    return sections.policy_section(
+        artifacts.load(directory / "progress.jsonl"),
+        {"evaluation/uniform_median_mm": "uniform bends", "evaluation/near_home_median_mm": "near home"},
+        {"base, uniform bends": trained["base"]["uniform_median_mm"], "base, near home": trained["base"]["near_home_median_mm"]},
+        numbers,
+        "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept.",
+    )
+
+
+_RESULTS_TEXT = (
+    "One episode of four seconds a target, from home: strand friction, damping, inertia, gains and the base's tilt are "
+    "drawn anew for every target, and are the same for every controller. Errors are means over the last half second."
+)

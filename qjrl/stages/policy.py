@@ -1,0 +1,48 @@
+"""Stage `policy`: train the residual policy on the target bank."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from qjrl import artifacts
+from qjrl.control.policy_training import PolicyConfig, train_policy
+from qjrl.robot import robot_from_mapping
+from qjrl.simulation.settling import SettleConfig
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    policy: PolicyConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `checkpoints/`, `progress.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
+    robot = robot_from_mapping(config.robot)
+    targets = artifacts.load(inputs["ik"] / "bank.npz")
+    trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
+    records = artifacts.load(out / "progress.jsonl")
+    rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
+    metrics = {
+        "env_steps": records[-1]["env_steps"],
+        "num_left_out": trained.left_out,
+        "steps_per_second": float(np.median(rates)),
+        "bare_steps_per_second": trained.bare_steps_per_second,
+        "share_of_bare_rate": float(np.median(rates)) / trained.bare_steps_per_second,
+        "invalid_steps": int(sum(record.get("invalid", 0) for record in records)),
+        "base": {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
+    }
+    artifacts.write_json(out / "metrics.json", metrics)
+    log.info(
+        "policy: %d steps at %.0f/s, %.0f %% of the bare physics' %.0f/s",
+        metrics["env_steps"],
+        metrics["steps_per_second"],
+        100.0 * metrics["share_of_bare_rate"],
+        metrics["bare_steps_per_second"],
+    )
