@@ -25,6 +25,8 @@ Arrays = Mapping[str, np.ndarray]
 
 # Offset of the run's seed for the arms on which the policy is judged while it trains.
 _JUDGE_SEED = 3_000_003
+# ... and of the arms that it trains on: PPO's own keys are children of the run's seed, so would be theirs.
+_TRAINING_SEED = 5_000_003
 # Control steps over which the rate of bare batch stepping is measured.
 _BARE_STEPS = 40
 
@@ -68,13 +70,17 @@ def train_policy(
     rows = [np.flatnonzero((targets["target_set"] == index) & in_time) for index in range(len(TARGET_SETS))]
     for name, found in zip(TARGET_SETS, rows, strict=True):
         if len(found) <= config.num_judged:
-            raise ConfigError(f"policy.num_judged: got {config.num_judged}, allowed: fewer than the {len(found)} {name} targets of the bank")
+            raise ConfigError(
+                f"policy.num_judged: got {config.num_judged}, allowed: fewer than the {len(found)} {name} targets of the bank"
+            )
     trained_on = np.concatenate([found[: -config.num_judged] for found in rows])
     judged = np.concatenate([found[-config.num_judged :] for found in rows])
     judge_stepper = make_stepper(robot, len(judged), simulation)
     judge = Judge(robot, config.environment, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
     stepper = make_stepper(robot, config.num_envs, simulation)
-    environment = ResidualEnvironment(robot, config.environment, bank_of(targets, config.base, trained_on), stepper, seed)
+    environment = ResidualEnvironment(
+        robot, config.environment, bank_of(targets, config.base, trained_on), stepper, seed
+    )
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm")
     left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
@@ -95,7 +101,10 @@ def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:
 def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     """Median errors on every set, and over all: by which the policy to keep is chosen."""
     millimetres, is_valid = 1e3 * judgement.position_error, judgement.is_valid
-    medians = {f"{name}_median_mm": float(np.median(millimetres[is_valid & (target_set == i)])) for i, name in enumerate(TARGET_SETS)}
+    medians = {
+        f"{name}_median_mm": float(np.median(millimetres[is_valid & (target_set == i)]))
+        for i, name in enumerate(TARGET_SETS)
+    }
     return medians | {"median_mm": float(np.median(millimetres[is_valid]))}
 
 

@@ -11,6 +11,7 @@ import math
 import jax
 import jax.numpy as jnp
 
+from qjrl.geometry.rotations import safe_norm
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import bend_angle
 
@@ -21,14 +22,14 @@ TIME_CONSTANTS = (0.05, 0.17, 0.5)
 def rotation_vectors(bends: jax.Array) -> jax.Array:
     """theta (cos phi, sin phi) [rad] of bends (segments, 2); smooth at 0."""
     angles = jax.vmap(bend_angle)(bends)
-    sines = jnp.linalg.norm(bends, axis=-1)
+    sines = jax.vmap(safe_norm)(bends)
     ratio = jnp.where(sines > 1e-9, angles / jnp.maximum(sines, 1e-9), 2.0)
     return bends * ratio[:, None]
 
 
 def bends_of_rotation_vectors(vectors: jax.Array) -> jax.Array:
     """Inverse of `rotation_vectors`."""
-    half = jnp.linalg.norm(vectors, axis=-1) / 2.0
+    half = jax.vmap(safe_norm)(vectors) / 2.0
     return vectors * (jnp.sinc(half / jnp.pi) / 2.0)[:, None]
 
 

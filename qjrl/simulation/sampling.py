@@ -39,9 +39,9 @@ def sample_dataset(
         ConfigError: the rows would not fit on the disk.
         ArtifactError: the directory holds rows of another robot.
     """
-    _check_disk(robot, sample, directory)
     identity = robot_hash(robot)
     done = rows_done(directory, identity)
+    _check_disk(robot, sample, done, directory)
     while done < sample.num_samples:
         count = min(sample.shard_size, sample.num_samples - done)
         rows = sample_rows(robot, simulation, seed, done, count, advance)
@@ -60,7 +60,7 @@ def sample_rows(
     robot: Robot, simulation: SettleConfig, seed: int, start: int, count: int, advance=None
 ) -> dict[str, np.ndarray]:
     """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
-    numbers = qmc.Sobol(2 * robot.num_segments, seed=seed)
+    numbers = qmc.Sobol(2 * robot.num_segments, rng=np.random.default_rng(seed))
     numbers = numbers.fast_forward(start).random(count) if start else numbers.random(count)
     to_lengths = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))
     lengths = np.asarray(to_lengths(jnp.asarray(numbers)), np.float64)
@@ -82,11 +82,20 @@ def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[s
     }
 
 
-def _check_disk(robot: Robot, sample: SampleConfig, directory: Path) -> None:
+def _sobol(dimensions: int, seed: int, start: int, count: int) -> np.ndarray:
+    """Points start .. start + count of the scrambled sequence, (count, dimensions)."""
+    sequence = qmc.Sobol(dimensions, seed=seed)
+    if start:
+        sequence.fast_forward(start)
+    return sequence.random(2 ** (count - 1).bit_length())[:count]  # scipy warns of anything but a power of two
+
+
+def _check_disk(robot: Robot, sample: SampleConfig, done: int, directory: Path) -> None:
+    """Refuse what the rows still to come cannot be written to."""
     numbers_per_row = robot.num_cables + 9 + 2 * robot.num_segments + robot.num_strands + 5 * robot.num_joints + 4
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     free = shutil.disk_usage(existing).free
-    fitting = free // (8 * numbers_per_row)
+    fitting = done + free // (8 * numbers_per_row)
     if sample.num_samples > fitting:
         raise ConfigError(
             f"sample.num_samples: got {sample.num_samples}, allowed: up to {fitting}, which fit on the disk"

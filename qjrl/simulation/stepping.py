@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Mapping
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
@@ -52,10 +52,11 @@ class PhysicalParameters:
     @classmethod
     def nominal(cls, robot: Robot, count: int) -> "PhysicalParameters":
         """The robot as described, `count` times."""
-        one = np.ones(count)
-        return cls(one, np.full(count, robot.config.strands.friction), one, one, np.zeros((count, 2)))
+        friction = np.full(count, robot.config.strands.friction)
+        return cls(np.ones(count), friction, np.ones(count), np.ones(count), np.zeros((count, 2)))
 
 
+@runtime_checkable
 class Stepper(Protocol):
     """Many simulations of one robot, stepped together: the one contract of both engines."""
 
