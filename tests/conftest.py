@@ -1,5 +1,10 @@
-"""Settings of every test: double precision, as the `qjrl` command sets it."""
+"""Settings of every test: double precision as in the `qjrl` command, no key used twice, shapes of every call checked."""
 
 import jax
+import jaxtyping
+import numpy as np
 
 jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_debug_key_reuse", True)
+jaxtyping.Array = jax.Array | np.ndarray  # a numpy array may stand for one of JAX; its shape is checked all the same
+jaxtyping.install_import_hook(["qjrl.geometry", "qjrl.robot", "qjrl.simulation", "qjrl.solvers"], "shape_checker.check")
