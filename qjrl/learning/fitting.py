@@ -241,9 +241,14 @@ def _prepare(inputs: Any, targets: Any) -> tuple[Rows, jax.Array, jax.Array]:
 
 def _initial_state(config: FitConfig, network: linen.Module, rows: Rows, seed: int) -> FitState:
     parameter_key, order_key = jax.random.split(jax.random.key(seed))
-    parameters = jax.jit(network.init)(parameter_key, rows.inputs[:1])["params"]
+    parameters = jax.jit(_initial_parameters, static_argnums=0)(network, parameter_key, rows.inputs[:1])
     # The optimiser's state does not depend on how many steps its schedule has.
-    return FitState(parameters, make_optimiser(config, 1).init(parameters), order_key)
+    state = FitState(parameters, make_optimiser(config, 1).init(parameters), order_key)
+    return jax.device_put(state, jax.local_devices()[0])  # committed, as a restored one is: one compilation for both
+
+
+def _initial_parameters(network: linen.Module, key: jax.Array, inputs: jax.Array) -> Any:
+    return network.init(key, inputs)["params"]
 
 
 def _identity(config: FitConfig, state: FitState, seed: int, data: tuple[Any, Any]) -> str:

@@ -12,10 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.learning.divergence import TrainingDiverged
-from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
-from qjrl.learning.ppo.networks import make_networks
+from qjrl.learning.ppo.networks import initial_parameters, make_networks
 from qjrl.learning.ppo.normaliser import update_normaliser
 from qjrl.learning.ppo.rollout import Collected, Rollout, collect, make_act
 from qjrl.learning.ppo.training_state import Session, TrainingState
@@ -26,9 +25,9 @@ Record = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class Compiled:
-    """The networks, and the compiled functions of an iteration on them."""
+    """The compiled functions of a training."""
 
-    networks: PPONetworks
+    initialise: Callable[[jax.Array], Any]
     act: Callable[..., Any]
     update_normaliser: Callable[..., Any]
     value: Callable[..., jax.Array]
@@ -47,7 +46,7 @@ def compile_functions(config: PPOConfig, environment: VectorEnv) -> Compiled:
 def _compile_functions(config: PPOConfig, sizes: tuple[tuple[str, int], ...], action_size: int) -> Compiled:
     networks = make_networks(config, dict(sizes), action_size)
     return Compiled(
-        networks=networks,
+        initialise=jax.jit(lambda key: initial_parameters(networks, config.initial_std, key)),
         act=make_act(networks),
         update_normaliser=jax.jit(update_normaliser),
         value=jax.jit(networks.value_network.apply),

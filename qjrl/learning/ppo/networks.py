@@ -42,11 +42,15 @@ def initial_parameters(networks: PPONetworks, initial_std: float, key: jax.Array
     Done by hand: brax 0.14.2 takes `mean_kernel_init_fn`, but ignores it for the tanh-normal distribution.
     """
     key_policy, key_value = jax.random.split(key)
-    policy = networks.policy_network.init(key_policy)
-    layers = dict(policy["params"])
+    layers = networks.policy_network.init(key_policy)["params"]
+    policy = {"params": start_at_zero(layers, initial_std)}
+    return {"policy": policy, "value": networks.value_network.init(key_value)}
+
+
+def start_at_zero(layers: Mapping[str, Any], initial_std: float) -> dict[str, Any]:
+    """The layers of an actor with the last one replaced: mean 0 and the same deviation for every observation."""
     last = f"hidden_{len(layers) - 1}"
     zeros = jnp.zeros_like(layers[last]["bias"])
     scale_before_softplus = math.log(math.expm1(initial_std - _MIN_STD))
     bias = zeros.at[len(zeros) // 2 :].set(scale_before_softplus)
-    layers[last] = {"kernel": jnp.zeros_like(layers[last]["kernel"]), "bias": bias}
-    return {"policy": {"params": layers}, "value": networks.value_network.init(key_value)}
+    return {**layers, last: {"kernel": jnp.zeros_like(layers[last]["kernel"]), "bias": bias}}

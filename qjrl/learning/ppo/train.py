@@ -8,11 +8,10 @@ import orbax.checkpoint as ocp
 from qjrl import artifacts, progress
 from qjrl.config import as_mapping
 from qjrl.learning import checkpoints as ckpt
-from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.iteration import Record, compile_functions, run_iteration
+from qjrl.learning.ppo.iteration import Compiled, Record, compile_functions, run_iteration
 from qjrl.learning.ppo.policy import Policy, load_policy, save_policy
 from qjrl.learning.ppo.training_state import Session, initial_state, policy_of, restore_session, save_session
 
@@ -63,7 +62,7 @@ def train(
         _export_if_best(checkpoints, session, config, directory)
 
     with ckpt.open_checkpoints(directory / CHECKPOINTS, _identity(config, environment, seed), minimise) as checkpoints:
-        session = _begin(checkpoints, compiled.networks, config, environment, seed, directory)
+        session = _begin(checkpoints, compiled, config, environment, seed, directory)
         done = int(session.state.iteration)
         if checkpoints.latest_step() is None:
             keep(session, {"iteration": 0, "env_steps": 0})
@@ -87,14 +86,14 @@ def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:
 
 def _begin(
     checkpoints: ocp.CheckpointManager,
-    networks: PPONetworks,
+    compiled: Compiled,
     config: PPOConfig,
     environment: VectorEnv,
     seed: int,
     directory: Path,
 ) -> Session:
     """A new session, or the one of the latest checkpoint; the log is cut to where it begins."""
-    state = initial_state(networks, config, environment, seed)
+    state = initial_state(compiled.initialise, config, environment, seed)
     session = Session(state, {}, environment, EpisodeLog(environment.num_envs))
     done = checkpoints.latest_step()
     ckpt.rewind_log(directory / PROGRESS, "iteration", -1 if done is None else done)

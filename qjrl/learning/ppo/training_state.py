@@ -1,6 +1,7 @@
 """Everything a PPO training needs to go on bit for bit, and its way to disk and back."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,11 +11,9 @@ import orbax.checkpoint as ocp
 from flax import struct
 
 from qjrl.learning import checkpoints as ckpt
-from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.networks import initial_parameters
 from qjrl.learning.ppo.normaliser import Normaliser, initial_normaliser
 from qjrl.learning.ppo.policy import Policy
 from qjrl.learning.ppo.update import Learner, make_learner
@@ -45,17 +44,19 @@ class Session:
     episodes: EpisodeLog
 
 
-def initial_state(networks: PPONetworks, config: PPOConfig, environment: VectorEnv, seed: int) -> TrainingState:
-    """The untrained state: its deterministic action is exactly zero."""
+def initial_state(
+    initialise: Callable[[jax.Array], Any], config: PPOConfig, environment: VectorEnv, seed: int
+) -> TrainingState:
+    """The untrained state; `initialise` makes parameters of a key."""
     key_parameters, key = jax.random.split(jax.random.key(seed))
-    parameters = jax.jit(lambda key: initial_parameters(networks, config.initial_std, key))(key_parameters)
-    return TrainingState(
-        learner=make_learner(config, parameters),
+    state = TrainingState(
+        learner=make_learner(config, initialise(key_parameters)),
         normaliser=initial_normaliser(environment.observation_sizes),
         key=key,
         iteration=jnp.int32(0),
         env_steps=jnp.uint32(0),
     )
+    return jax.device_put(state, jax.local_devices()[0])  # committed, as a restored one is: one compilation for both
 
 
 def policy_of(state: TrainingState, config: PPOConfig) -> Policy:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.networks import initial_parameters, make_networks
+from qjrl.learning.ppo.networks import initial_parameters, make_networks, start_at_zero
 from qjrl.learning.ppo.normaliser import initial_normaliser, update_normaliser
 from qjrl.learning.ppo.policy import ACTIVATIONS, Policy, deterministic_action, load_policy, save_policy
 
@@ -16,10 +16,15 @@ ACTIONS = 3
 OBSERVATION = jax.random.normal(jax.random.key(0), (4, 5), jnp.float32)
 
 
-def actor(activation: Any = "swish", std: float = 0.3):
+def make(activation: Any = "swish"):
     config = PPOConfig(activation=activation, actor_layers=(8, 6), critic_layers=(9,))
-    networks = make_networks(config, SIZES, ACTIONS)
-    return networks, jax.jit(lambda key: initial_parameters(networks, std, key))(jax.random.key(1))
+    return make_networks(config, SIZES, ACTIONS)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    networks = make()
+    return jax.jit(lambda key: initial_parameters(networks, 0.3, key))(jax.random.key(1))
 
 
 def policy(parameters, activation="swish"):
@@ -27,46 +32,46 @@ def policy(parameters, activation="swish"):
     return Policy(parameters["policy"]["params"], mean, std, activation=activation, observation_clip=10.0)
 
 
-def test_the_untrained_policy_does_exactly_nothing():
-    actions = deterministic_action(policy(actor()[1]), 1e3 * OBSERVATION)
+def test_the_untrained_policy_does_exactly_nothing(parameters):
+    actions = deterministic_action(policy(parameters), 1e3 * OBSERVATION)
     assert np.array_equal(np.asarray(actions), np.zeros((4, ACTIONS)))
 
 
 @pytest.mark.parametrize("std", [0.05, 0.3, 1.0])
-def test_the_untrained_policy_explores_with_the_given_deviation(std):
-    networks, parameters = actor(std=std)
-    logits = networks.policy_network.apply(initial_normaliser(SIZES), parameters["policy"], {"state": OBSERVATION})
+def test_the_untrained_policy_explores_with_the_given_deviation(parameters, std):
+    networks = make()
+    started = {"params": start_at_zero(parameters["policy"]["params"], std)}
+    logits = networks.policy_network.apply(initial_normaliser(SIZES), started, {"state": OBSERVATION})
     distribution: Any = networks.parametric_action_distribution.create_dist(logits)
     assert np.asarray(distribution.scale) == pytest.approx(std, rel=1e-5)
 
 
 @pytest.mark.parametrize("activation", sorted(ACTIVATIONS))
-def test_the_deterministic_action_is_the_mode_of_the_trained_network(activation):
-    networks, parameters = actor(activation)
-    rng = np.random.default_rng(0)
-    parameters = jax.tree.map(lambda x: x + 0.3 * rng.standard_normal(x.shape, np.float32), parameters)
-    alone = policy(parameters, activation)
+def test_the_deterministic_action_is_the_mode_of_the_trained_network(parameters, activation):
+    networks, rng = make(activation), np.random.default_rng(0)
+    trained = jax.tree.map(lambda x: np.asarray(x) + 0.3 * rng.standard_normal(x.shape, np.float32), parameters)
+    alone = policy(trained, activation)
     normaliser = dataclasses.replace(
         initial_normaliser(SIZES),
-        mean={"state": alone.mean, "privileged_state": jnp.zeros(7)},
-        std={"state": alone.std, "privileged_state": jnp.ones(7)},
+        mean={"state": alone.mean, "privileged_state": np.zeros(7)},
+        std={"state": alone.std, "privileged_state": np.ones(7)},
     )
-    logits = networks.policy_network.apply(normaliser, parameters["policy"], {"state": OBSERVATION})
+    logits = networks.policy_network.apply(normaliser, trained["policy"], {"state": OBSERVATION})
     mode = networks.parametric_action_distribution.mode(logits)
     assert np.asarray(deterministic_action(alone, OBSERVATION)) == pytest.approx(np.asarray(mode), abs=1e-6)
 
 
-def test_a_policy_comes_back_from_its_files(tmp_path):
-    before = policy(actor()[1], "elu")
+def test_a_policy_comes_back_from_its_files(parameters, tmp_path):
+    before = policy(parameters, "elu")
     save_policy(tmp_path / "policy", before)
     after = load_policy(tmp_path / "policy")
     assert (after.activation, after.observation_clip) == ("elu", 10.0)
     jax.tree.map(np.testing.assert_array_equal, after, before)
 
 
-def test_nothing_is_float64_although_x64_is_on():
+def test_nothing_is_float64_although_x64_is_on(parameters):
     assert jax.config.read("jax_enable_x64")
-    tree = (actor()[1], initial_normaliser(SIZES), deterministic_action(policy(actor()[1]), np.zeros((1, 5))))
+    tree = (parameters, initial_normaliser(SIZES), deterministic_action(policy(parameters), np.zeros((1, 5))))
     assert {leaf.dtype for leaf in jax.tree.leaves(tree)} <= {np.dtype(np.float32), np.dtype(np.uint32)}
 
 

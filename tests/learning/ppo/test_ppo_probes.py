@@ -33,7 +33,7 @@ def learn():
     compiled = compile_functions(CONFIG, ProbeEnvironment(nothing, lambda seen, action: seen))
 
     def train(environment, iterations):
-        state = initial_state(compiled.networks, CONFIG, environment, seed=0)
+        state = initial_state(compiled.initialise, CONFIG, environment, seed=0)
         session = Session(state, environment.reset(), environment, EpisodeLog(environment.num_envs))
         for _ in range(iterations):
             session, _ = run_iteration(session, compiled, CONFIG, iterations)
