@@ -20,7 +20,7 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check
 
 types: $(STAMP)
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 # The first python >= 3.12 of: what pyenv or the path call python, versioned names, versions pyenv has but does not show.
 $(STAMP): pyproject.toml constraints.txt
