@@ -37,7 +37,10 @@ def compare_controllers(
         "learned_ik": ("learned", None),
         "learned_ik+residual": (config.base, acting(policy)),
     }
-    in_time = np.all([arrives_in_time(robot, config.environment, targets[f"{base}_lengths"]) for base in ("nominal", "learned")], axis=0)
+    in_time = np.all(
+        [arrives_in_time(robot, config.environment, targets[f"{base}_lengths"]) for base in ("nominal", "learned")],
+        axis=0,
+    )
     rows = np.flatnonzero(in_time)
     found = {}
     for name, (base, act) in controllers.items():
@@ -52,7 +55,9 @@ def compare_controllers(
     }
 
 
-def _of_set(judgement: Judgement, rows: np.ndarray, is_valid: np.ndarray, is_in_set: np.ndarray) -> tuple[Judgement, int]:
+def _of_set(
+    judgement: Judgement, rows: np.ndarray, is_valid: np.ndarray, is_in_set: np.ndarray
+) -> tuple[Judgement, int]:
     """The valid rows of one target set, and how many of its targets are missing."""
     kept = is_valid & is_in_set[rows]
     return _rows(judgement, kept), int(is_in_set.sum() - kept.sum())
@@ -60,5 +65,8 @@ def _of_set(judgement: Judgement, rows: np.ndarray, is_valid: np.ndarray, is_in_
 
 def _rows(judgement: Judgement, rows: np.ndarray) -> Judgement:
     return Judgement(
-        judgement.position_error[rows], judgement.orientation_error[rows], judgement.strand_tension[rows], judgement.is_valid[rows]
+        judgement.position_error[rows],
+        judgement.orientation_error[rows],
+        judgement.strand_tension[rows],
+        judgement.is_valid[rows],
     )

@@ -83,10 +83,23 @@ class ResidualEnvironment:
     """
 
     def __init__(
-        self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int, rows: np.ndarray | None = None
+        self,
+        robot: Robot,
+        config: EnvironmentConfig,
+        bank: Bank,
+        stepper: Stepper,
+        seed: int,
+        rows: np.ndarray | None = None,
     ):
         self.num_envs, self.action_size = stepper.num_sims, robot.num_cables
-        self.config, self._robot, self._bank, self._stepper, self._rows, self._seed = config, robot, bank, stepper, rows, seed
+        self.config, self._robot, self._bank, self._stepper, self._rows, self._seed = (
+            config,
+            robot,
+            bank,
+            stepper,
+            rows,
+            seed,
+        )
         self._substeps = max(1, round(config.control_period / stepper.timestep))
         self._compiled = _compile(config)
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
@@ -97,17 +110,24 @@ class ResidualEnvironment:
         """Start every arm afresh, at rest at home."""
         count = np.arange(self.num_envs)
         rows = np.full(self.num_envs, -1) if self._rows is None else np.asarray(self._rows)
-        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed)))(jnp.asarray(count if self._rows is None else rows))
+        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed)))(
+            jnp.asarray(count if self._rows is None else rows)
+        )
         begun = self._compiled.begin(self._robot, self._bank, keys, rows, np.full(self.num_envs, self._rows is None))
         self._reset_physics(count, begun.parameters)
         everyone = np.arange(self.num_envs)
-        self._state, observation = self._compiled.restart(self._robot, begun.state, begun.state, _truth(self._stepper.read()), everyone)
+        replaced = dataclasses.replace(begun.state, key=jax.random.clone(begun.state.key))  # in every row
+        self._state, observation = self._compiled.restart(
+            self._robot, replaced, begun.state, _truth(self._stepper.read()), everyone
+        )
         self._held = np.tile(self._home_commands, (self.num_envs, 1))
         return _as_numpy(observation)
 
     def step(self, actions: Any) -> Transition:
         """One control period: residual and base to the motors, physics, sensors, reward."""
-        planned, commands = self._compiled.command(self._robot, self._state, jnp.asarray(actions, self._state.residual.dtype))
+        planned, commands = self._compiled.command(
+            self._robot, self._state, jnp.asarray(actions, self._state.residual.dtype)
+        )
         self._held = np.asarray(commands)
         self._stepper.step(self._held, self._substeps)
         readout = self._stepper.read()
@@ -152,10 +172,16 @@ class ResidualEnvironment:
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
-        fields = {name.removeprefix("control/"): jnp.asarray(value) for name, value in state.items() if name.startswith("control/")}
+        fields = {
+            name.removeprefix("control/"): jnp.asarray(value)
+            for name, value in state.items()
+            if name.startswith("control/")
+        }
         fields["key"] = jax.random.wrap_key_data(fields["key"])
         self._state = ControlState(**fields)
-        self._stepper.set_state({name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")})
+        self._stepper.set_state(
+            {name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")}
+        )
 
     def _start_again(self, ids: np.ndarray, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """New episodes for arms `ids`; the observation of the others stays."""
@@ -164,13 +190,15 @@ class ResidualEnvironment:
         not_first = np.zeros(len(padded), bool)
         begun = self._compiled.begin(self._robot, self._bank, self._state.key[padded], rows, not_first)
         self._reset_physics(ids, {name: value[: len(ids)] for name, value in _as_numpy(begun.parameters).items()})
-        self._state, first = self._compiled.restart(self._robot, self._state, begun.state, _truth(self._stepper.read()), padded)
+        self._state, first = self._compiled.restart(
+            self._robot, self._state, begun.state, _truth(self._stepper.read()), padded
+        )
         changed = {key: value.copy() for key, value in observation.items()}
         for key, value in _as_numpy(first).items():
             changed[key][ids] = value[: len(ids)]
         return changed
 
-    def _reset_physics(self, ids: np.ndarray, parameters: Mapping[str, jax.Array]) -> None:
+    def _reset_physics(self, ids: np.ndarray, parameters: Mapping[str, Any]) -> None:
         values = PhysicalParameters(**{name: np.asarray(value) for name, value in parameters.items()})
         self._stepper.reset(ids, self._home, self._home_commands, values)
 
@@ -210,7 +238,9 @@ class _Outcome:
     metrics: dict[str, jax.Array]
 
 
-def _begin(config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array) -> _Begun:
+def _begin(
+    config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array
+) -> _Begun:
     """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
     key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
@@ -240,7 +270,9 @@ def _restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth
     reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
     errors = _errors(truth, state)
     memory = jnp.broadcast_to(reading, state.memory.shape)
-    state = state.replace(reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next)
+    state = dataclasses.replace(
+        state, reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next
+    )
     return state, _observation(config, robot, state, truth, errors)
 
 
@@ -257,7 +289,9 @@ def _command(config: EnvironmentConfig, robot: Robot, state: ControlState, actio
     desired = motors.ramped_base(robot, state.base_lengths, (state.step + 1) * period) + residual
     command = motors.limit_speed(robot, state.command, desired, period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
-    return state.replace(residual=residual, command=command, actions=actions), strand_commands(robot, command)
+    return dataclasses.replace(state, residual=residual, command=command, actions=actions), strand_commands(
+        robot, command
+    )
 
 
 def _observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> _Outcome:
@@ -266,7 +300,7 @@ def _observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth
     bends = configuration_from_joint_positions(robot, truth.joint_positions)
     reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
     memory = remember(state.memory, reading, config.control_period).astype(state.memory.dtype)
-    state = state.replace(step=state.step + 1, reading=reading, memory=memory, key=key_next)
+    state = dataclasses.replace(state, step=state.step + 1, reading=reading, memory=memory, key=key_next)
     errors = _errors(truth, state)
     has_arrived = _ramp(config, robot, state) >= 1.0
     step_reward = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
@@ -279,7 +313,9 @@ def _observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth
     return _Outcome(state, observation, step_reward, state.step >= state.episode_steps, metrics)
 
 
-def _observation(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array) -> dict[str, jax.Array]:
+def _observation(
+    config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array
+) -> dict[str, jax.Array]:
     actor = actor_observation(robot, state, _ramp(config, robot, state))
     return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors)}
 

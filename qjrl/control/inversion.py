@@ -57,7 +57,9 @@ def solve_target_set(
     }
 
 
-def settle_answers(robot: Robot, simulation: SettleConfig, bank: dict[str, np.ndarray], advance=None) -> dict[str, np.ndarray]:
+def settle_answers(
+    robot: Robot, simulation: SettleConfig, bank: dict[str, np.ndarray], advance=None
+) -> dict[str, np.ndarray]:
     """What the physics makes of both commands of every row: real errors, tension, slack. Keys "nominal_…", "learned_…"."""
     measured = {}
     for controller in ("nominal", "learned"):
@@ -74,7 +76,9 @@ def settle_answers(robot: Robot, simulation: SettleConfig, bank: dict[str, np.nd
     return measured
 
 
-def solve_both_sets(robot: Robot, model: PoseFunction, config: IKConfig, count: int, seed: int, advance=None) -> dict[str, np.ndarray]:
+def solve_both_sets(
+    robot: Robot, model: PoseFunction, config: IKConfig, count: int, seed: int, advance=None
+) -> dict[str, np.ndarray]:
     """`solve_target_set` for every set, one below the other."""
     banks = [solve_target_set(robot, model, config, name, count, seed, advance) for name in TARGET_SETS]
     return {name: np.concatenate([bank[name] for bank in banks]) for name in banks[0]}

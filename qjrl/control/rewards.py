@@ -26,7 +26,11 @@ class RewardConfig:
 
 
 def reward(
-    config: RewardConfig, position_error: jax.Array, orientation_error: jax.Array, action: jax.Array, has_arrived: jax.Array
+    config: RewardConfig,
+    position_error: jax.Array,
+    orientation_error: jax.Array,
+    action: jax.Array,
+    has_arrived: jax.Array,
 ) -> jax.Array:
     """Reward of a step from position error [m], orientation error [rad] and action; 0 before the ramp has ended."""
     near = jnp.exp(-position_error / config.position_scale)

@@ -24,7 +24,9 @@ class TargetConfig:
     """d_max of d = d_max u^3 [m], distance of the target tip from the home tip (paper 000, section 5.4.2)."""
 
 
-def draw_bends(robot: Robot, target_set: str, count: int, seed: int, config: TargetConfig = TargetConfig()) -> np.ndarray:
+def draw_bends(
+    robot: Robot, target_set: str, count: int, seed: int, config: TargetConfig = TargetConfig()
+) -> np.ndarray:
     """Bends (count, segments, 2) of a target set; row i depends on (set, seed, i) alone.
 
     Args:

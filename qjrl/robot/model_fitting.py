@@ -47,10 +47,16 @@ def fit_forward_model(
     )
     metrics = {
         "form": config.form,
-        "rows": {"fitted": len(fitted_rows), "held_out": len(held_out_rows), "unsettled": int(np.sum(~data["converged"]))},
+        "rows": {
+            "fitted": len(fitted_rows),
+            "held_out": len(held_out_rows),
+            "unsettled": int(np.sum(~data["converged"])),
+        },
         "best_epoch": result.epoch,
         "held_out": result.metrics,
-        "nominal": pose_errors(jax.vmap(pose_function(robot, None))(held_out["cable_lengths"]), held_out["pose"]),
+        "nominal": pose_errors(
+            jax.vmap(pose_function(robot, None))(jnp.asarray(held_out["cable_lengths"])), held_out["pose"]
+        ),
     }
     return ForwardModel(result.fitted, config), metrics
 

@@ -135,7 +135,7 @@ class MujocoStepper:
             self._velocities,
             self._lengths[:, strands],
             self._rates[:, strands],
-            -self._force,
+            0.0 - self._force,
             pose,
             is_finite,
         )

@@ -70,9 +70,13 @@ def solve_adam(
     checked = check_targets(targets)
     model = model or pose_function(robot, None)
     candidates = _candidates(robot, model, config, jax.random.key(seed))
-    solve = jax.jit(jax.vmap(lambda target, attempt: _solve_one(robot, model, config, target, candidates, attempt), (0, None)))
+    solve = jax.jit(
+        jax.vmap(lambda target, attempt: _solve_one(robot, model, config, target, candidates, attempt), (0, None))
+    )
     tolerances = (config.position_tolerance, config.orientation_tolerance)
-    judge = jax.jit(lambda targets, lengths, steps: describe_solution(robot, model, targets, lengths, tolerances, steps))
+    judge = jax.jit(
+        lambda targets, lengths, steps: describe_solution(robot, model, targets, lengths, tolerances, steps)
+    )
 
     lengths, steps = np.zeros((len(checked), robot.num_cables)), np.zeros(len(checked), int)
     result = judge(checked, lengths, steps)
@@ -112,13 +116,20 @@ class _Candidates:
 
 
 def _candidates(robot: Robot, model: PoseFunction, config: AdamConfig, key: jax.Array) -> _Candidates:
-    numbers = jax.random.uniform(key, (max(config.num_candidates, config.num_restarts * (config.num_retries + 1)), robot.num_cables))
+    numbers = jax.random.uniform(
+        key, (max(config.num_candidates, config.num_restarts * (config.num_retries + 1)), robot.num_cables)
+    )
     lengths = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))(numbers)
     return _Candidates(lengths, jax.jit(jax.vmap(model))(lengths))
 
 
 def _solve_one(
-    robot: Robot, model: PoseFunction, config: AdamConfig, target: jax.Array, candidates: _Candidates, attempt: jax.Array
+    robot: Robot,
+    model: PoseFunction,
+    config: AdamConfig,
+    target: jax.Array,
+    candidates: _Candidates,
+    attempt: jax.Array,
 ) -> jax.Array:
     """Lengths (num_cables,) of the best of all restarts for one target (9,); attempt 0 has the nearest candidates."""
     strokes = cable_strokes(robot)
@@ -135,7 +146,9 @@ def _descend(costs, project, starts: jax.Array, config: AdamConfig) -> jax.Array
 
     `project` brings each row back within the joints' limits after every step (ours).
     """
-    rate = optax.cosine_decay_schedule(config.learning_rate, config.iterations) if config.decay else config.learning_rate
+    rate = (
+        optax.cosine_decay_schedule(config.learning_rate, config.iterations) if config.decay else config.learning_rate
+    )
     optimiser = optax.adam(rate)
 
     def step(carry, _):
@@ -158,7 +171,9 @@ def _within_limit(robot: Robot, lengths: jax.Array) -> jax.Array:
 
 def _cost(robot: Robot, model: PoseFunction, config: AdamConfig, target: jax.Array, lengths: jax.Array) -> jax.Array:
     """Position + rotation + small control penalty (paper 000, section 4)."""
-    return _pose_cost(config, model(lengths), target) + config.control_penalty * jnp.sum((lengths / cable_strokes(robot)) ** 2)
+    return _pose_cost(config, model(lengths), target) + config.control_penalty * jnp.sum(
+        (lengths / cable_strokes(robot)) ** 2
+    )
 
 
 def _pose_cost(config: AdamConfig, pose: jax.Array, target: jax.Array) -> jax.Array:

@@ -51,14 +51,18 @@ def check_targets(targets) -> np.ndarray:
     """
     targets = np.asarray(targets, np.float64)
     if targets.ndim != 2 or targets.shape[1] != 9:
-        raise ValueError(f"targets: got shape {targets.shape}, allowed: (n, 9), position [m] and two columns of a rotation")
+        raise ValueError(
+            f"targets: got shape {targets.shape}, allowed: (n, 9), position [m] and two columns of a rotation"
+        )
     if not np.all(np.isfinite(targets)):
         raise ValueError(f"targets: got non-finite values in row {int(np.argmax(~np.isfinite(targets).all(axis=1)))}")
     columns = targets[:, 3:].reshape(-1, 2, 3)
     gram = np.einsum("nic,njc->nij", columns, columns)
     is_off = np.abs(gram - np.eye(2)).max(axis=(1, 2)) > 1e-3
     if is_off.any():
-        raise ValueError(f"targets: row {int(np.argmax(is_off))} is no rotation: its two columns must be orthonormal to 1e-3")
+        raise ValueError(
+            f"targets: row {int(np.argmax(is_off))} is no rotation: its two columns must be orthonormal to 1e-3"
+        )
     return targets
 
 

@@ -42,7 +42,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     with progress.track(total, "comparing controllers") as advance:
         judged = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
     outcomes = [
-        Outcome(name, target_set, one.position_error, one.orientation_error, one.strand_tension, one.strand_tension < SLACK_TENSION, left_out)
+        Outcome(
+            name,
+            target_set,
+            one.position_error,
+            one.orientation_error,
+            one.strand_tension,
+            one.strand_tension < SLACK_TENSION,
+            left_out,
+        )
         for (target_set, name), (one, left_out) in judged.items()
     ]
     verdict = measures.judge_residual(outcomes)
@@ -66,10 +74,14 @@ def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
     }
 
 
-def _report(config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets) -> Report:
+def _report(
+    config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets
+) -> Report:
     verdict = measures.judge_residual(outcomes)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
-    fitted, inverted, trained = (artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy"))
+    fitted, inverted, trained = (
+        artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy")
+    )
     unsettled = int(np.sum(~data["converged"]))
     return Report(
         title=f"{robot.name}, run {config.name}",
@@ -86,19 +98,26 @@ def _report(config: Config, robot: Robot, inputs: dict[str, Path], out: Path, ou
             sections.ik_section(targets, inverted, TARGET_SETS),
             _policy_section(inputs["policy"], trained),
         ),
-        durations={stage: artifacts.done_marker(path)["seconds"] for stage, path in inputs.items()},
+        durations={stage: artifacts.load(path / artifacts.DONE)["seconds"] for stage, path in inputs.items()},
         provenance=artifacts.load(out / artifacts.PROVENANCE),
     )
 
 
 def _summary(outcomes: list[Outcome], fitted: dict, trained: dict) -> tuple[Number, ...]:
     headline_set = TARGET_SETS[0]
-    medians = {one.controller: float(np.median(one.position_error_mm)) for one in outcomes if one.target_set == headline_set}
+    medians = {
+        one.controller: float(np.median(one.position_error_mm)) for one in outcomes if one.target_set == headline_set
+    }
     labels = {"nominal": "nominal closed form", "learned_ik": "learned IK", "learned_ik+residual": "with residual"}
     return (
         *(Number(labels[name], value, "mm", "median, randomised physics") for name, value in medians.items()),
         Number("forward model", fitted["held_out"]["median_mm"], "mm", "held-out median"),
-        Number("training rate", trained["steps_per_second"], "steps/s", f"{100 * trained['share_of_bare_rate']:.0f} % of bare physics"),
+        Number(
+            "training rate",
+            trained["steps_per_second"],
+            "steps/s",
+            f"{100 * trained['share_of_bare_rate']:.0f} % of bare physics",
+        ),
     )
 
 
@@ -118,7 +137,10 @@ def _policy_section(directory: Path, trained: dict):
     return sections.policy_section(
         artifacts.load(directory / "progress.jsonl"),
         {"evaluation/uniform_median_mm": "uniform bends", "evaluation/near_home_median_mm": "near home"},
-        {"base, uniform bends": trained["base"]["uniform_median_mm"], "base, near home": trained["base"]["near_home_median_mm"]},
+        {
+            "base, uniform bends": trained["base"]["uniform_median_mm"],
+            "base, near home": trained["base"]["near_home_median_mm"],
+        },
         numbers,
         "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept.",
     )

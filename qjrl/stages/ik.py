@@ -55,5 +55,9 @@ def _report(metrics: dict) -> None:
         log.info(
             "ik: %s targets, settled in the physics: learned %.3f mm and %.3f deg, nominal %.3f mm and %.3f deg (medians)",
             target_set,
-            *(controllers[name][f"{key}"] for name in ("learned_ik", "nominal") for key in ("position_median_mm", "orientation_median_deg")),
+            *(
+                controllers[name][f"{key}"]
+                for name in ("learned_ik", "nominal")
+                for key in ("position_median_mm", "orientation_median_deg")
+            ),
         )
