@@ -45,9 +45,6 @@ Examples
 The same command again skips what is done and goes on where it was interrupted.
 """
 
-HEADLINE = "position_median_mm"
-"""The metrics that the table of a sweep shows; all of them are in its files."""
-
 
 def main() -> int:
     """The console script. Returns the exit code."""
@@ -99,15 +96,19 @@ def _launch(arguments: list[str]) -> int:
     is_sweep = bool({"-m", "--multirun"} & set(arguments))
     arguments = ["--multirun"] * is_sweep + [text for text in arguments if text not in ("-m", "--multirun")]
     since = time.time()
+    sweep_dir = None
     try:
         sweep_dir, pinned = _pinned_sweep(arguments) if is_sweep else (None, [])
         sys.argv = ["qjrl", *arguments, *pinned]
         hydra.main(version_base=None, config_path=str(conf_folder()), config_name="config")(_job(outcomes))()
     except (HydraException, OmegaConfBaseException, yaml.YAMLError, OSError, ValueError) as error:
         return _complain(_readable(error, arguments))
+    except Exception:  # of a launcher: a worker was killed, a queue refused; jobs report their own
+        traceback.print_exc()
+        outcomes.append("failed")
     if sweep_dir is not None:
-        return _finish_sweep(sweep_dir, since)
-    return {"done": 0, "bad input": 2, "failed": 1}[outcomes[0]] if outcomes else 0
+        return max(_finish_sweep(sweep_dir, since), "failed" in outcomes)
+    return {"done": 0, "bad input": 2, "failed": 1}[outcomes[-1]] if outcomes else 0
 
 
 def _job(outcomes: list[str]) -> Callable[[Any], str]:
@@ -271,15 +272,15 @@ def _finish_sweep(sweep_dir: Path, since: float) -> int:
 
     rows = sweep.gather(sweep_dir, since)
     sweep.write(sweep_dir, rows)
-    shown = list(dict.fromkeys(key for row in rows for key in row["metrics"] if key.endswith(HEADLINE)))
-    headers = ["\n".join(key.split(".")[-3:-1]) for key in shown]  # target set, controller
-    table = Table("job", "status", "seconds", *headers, title=f"{sweep_dir}: median position errors in mm")
+    shown = sweep.headline(rows)
+    headers = ["\n".join(key.split(".")[-3:]) for key in shown]
+    table = Table("job", "status", "seconds", *headers, title=str(sweep_dir))
     for row in rows:
         errors = [f"{row['metrics'][key]:.3f}" if key in row["metrics"] else "" for key in shown]
         seconds = "" if row["seconds"] is None else f"{row['seconds']:.0f}"
         table.add_row(*(escape(text) for text in (row["job"], row["error"] or row["status"], seconds, *errors)))
     progress.console.print(table)
-    return 0 if all(row["status"] == "done" for row in rows) else 1
+    return 0 if rows and all(row["status"] == "done" for row in rows) else 1
 
 
 if __name__ == "__main__":

@@ -11,7 +11,8 @@ from typing import Any
 from qjrl import artifacts
 
 SUMMARY = "summary.json"
-METRICS = Path("compare") / "metrics.json"
+HEADLINES = (("compare.", ".position_median_mm"), ("forward_model.", ".held_out.median_mm"))
+"""First and last part of the metrics worth a column in the terminal: of the latest stage that ran."""
 
 
 @contextmanager
@@ -39,9 +40,8 @@ def gather(sweep_dir: Path, since: float) -> list[dict[str, Any]]:
         record = artifacts.load(path)
         if record["started"] < since:
             continue
-        metrics = path.parent / METRICS
         row = {"job": path.parent.relative_to(sweep_dir).as_posix(), **record}
-        row["metrics"] = _flat(artifacts.load(metrics)) if metrics.exists() and record["status"] == "done" else {}
+        row["metrics"] = _metrics(path.parent) if record["status"] == "done" else {}
         row["status"] = "did not finish" if record["status"] == "running" else record["status"]
         rows.append(row)
     return rows
@@ -57,6 +57,19 @@ def write(sweep_dir: Path, rows: list[dict[str, Any]]) -> None:
     table.writeheader()
     table.writerows(flat)
     artifacts.write_bytes(sweep_dir / "sweep.csv", text.getvalue().encode())
+
+
+def headline(rows: list[dict[str, Any]]) -> list[str]:
+    """The metrics to show in a terminal; the files hold all of them."""
+    keys = list(dict.fromkeys(key for row in rows for key in row["metrics"]))
+    found = ([key for key in keys if key.startswith(first) and key.endswith(last)] for first, last in HEADLINES)
+    return next(filter(None, found), [])
+
+
+def _metrics(run_dir: Path) -> dict[str, float]:
+    """All numbers of all stages of a run: ``forward_model.held_out.median_mm``."""
+    files = sorted(run_dir.glob("*/metrics.json"))
+    return _flat({file.parent.name: artifacts.load(file) for file in files if file.parent.suffix != ".previous"})
 
 
 def _flat(metrics: Any, where: str = "") -> dict[str, float]:

@@ -202,7 +202,7 @@ def test_a_sweep_ends_with_one_table_and_fails_if_a_job_does(two_stages, tmp_pat
     assert [row["job"] for row in rows] == [
         f"robot={arm},seed={seed}" for arm in ("my_arm", "qj_2222") for seed in (1, 2)
     ]
-    assert [row["metrics"]["far.learned.position_median_mm"] for row in rows] == [0.5, 1.0, 0.5, 1.0]
+    assert [row["metrics"]["compare.far.learned.position_median_mm"] for row in rows] == [0.5, 1.0, 0.5, 1.0]
     assert "robot=my_arm,seed=2" in result.out
     table = (tmp_path / "outputs" / "both" / "sweep.csv").read_text().splitlines()
     assert len(table) == 5
