@@ -1,0 +1,96 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arms import arm_named, over_rows, random_bends
+
+from qjrl.control import motors
+from qjrl.robot import bends_from_cables, cable_lengths
+
+ARMS = ["qj_2222", "rolling_312"]
+PERIOD = 0.02
+
+
+def base_commands(arm, count=6, seed=0):
+    return over_rows(cable_lengths, arm, random_bends(arm, count, seed))
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_ramp_is_straight_in_bend_space_and_stays_within_the_limits(name):
+    arm = arm_named(name)
+    bends = random_bends(arm, 6)
+    shares = jnp.array([0.0, 0.25, 0.5, 0.9, 1.0, 3.0])
+
+    def on_the_way(arm, bends):
+        base = cable_lengths(arm, bends)
+        times = shares * motors.ramp_time(arm, base)
+        return jax.vmap(lambda time: bends_from_cables(arm, motors.ramped_base(arm, base, time)))(times)
+
+    found = over_rows(on_the_way, arm, bends)
+    expected = np.minimum(shares, 1.0)[None, :, None, None] * bends[:, None]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert np.linalg.norm(found, axis=-1).max() <= np.sin(float(arm.bend_limit) / 2.0) + 1e-12
+
+
+def test_the_longest_cable_sets_the_ramps_duration():
+    arm = arm_named("qj_2222")
+    base = jnp.array([0.0, 0.01, -0.0628, 0.02, 0.0, 0.0, 0.0, 0.0])
+    speed = float(arm.motor_speed)
+    assert float(motors.ramp_time(arm, base)) == pytest.approx(0.0628 / speed)
+    assert float(motors.ramp_time(arm, jnp.zeros(8))) == 0.0
+    np.testing.assert_array_equal(motors.ramped_base(arm, jnp.zeros(8), jnp.zeros(())), np.zeros(8))
+    halfway = motors.ramped_base(arm, base, jnp.asarray(0.0314 / speed))
+    np.testing.assert_allclose(halfway, np.asarray(base) / 2, atol=1e-15)
+
+
+def test_the_residual_by_hand_numbers():
+    config = motors.ResidualConfig(rate=0.01, bound=0.0005)
+    residual = jnp.array([0.0, 0.0, 0.0, 0.0004, -0.0005])
+    action = jnp.array([0.0, 0.5, -1.0, 1.0, -7.0])
+    moved = motors.move_residual(config, residual, action, PERIOD)
+    np.testing.assert_allclose(moved, [0.0, 0.0001, -0.0002, 0.0005, -0.0005], atol=1e-18)
+
+
+def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
+    config = motors.ResidualConfig()
+    actions = np.random.default_rng(0).normal(2.0, 5.0, (200, 8))
+    residual, move = jnp.zeros(8), jax.jit(lambda *state: motors.move_residual(config, *state, PERIOD))
+    for action in actions:
+        moved = move(residual, action)
+        assert np.abs(moved - residual).max() <= config.rate * PERIOD * (1 + 1e-12)
+        assert np.abs(moved).max() <= config.bound
+        residual = moved
+    assert float(jnp.max(residual)) == config.bound
+
+
+def test_a_residual_at_rest_stays_exactly_where_it_is():
+    residual = jnp.array([0.003, -0.007, 0.01])
+    np.testing.assert_array_equal(motors.move_residual(motors.ResidualConfig(), residual, jnp.zeros(3), PERIOD), residual)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_base_and_residual_together_never_exceed_the_motors_speed(name):
+    """The residual moves at its full rate, in both directions, while the base is ramped in at motor speed."""
+    arm, config = arm_named(name), motors.ResidualConfig()
+    base = jnp.asarray(base_commands(arm, 1)[0])
+    action = jnp.asarray(np.where(np.arange(arm.num_cables) % 3 == 0, -1.0, 1.0) * np.sign(base))
+
+    def one(carry, step):
+        residual, command = carry
+        residual = motors.move_residual(config, residual, action, PERIOD)
+        desired = motors.ramped_base(arm, base, (step + 1) * PERIOD) + residual
+        command = motors.limit_speed(arm, command, desired, PERIOD)
+        return (residual, command), (command, desired)
+
+    _, (commands, desired) = jax.lax.scan(one, (jnp.zeros_like(base), jnp.zeros_like(base)), jnp.arange(400))
+    steps = np.abs(np.diff(np.concatenate([np.zeros((1, arm.num_cables)), commands]), axis=0))
+    assert steps.max() <= arm.motor_speed * PERIOD * (1 + 1e-12)
+    assert np.abs(commands - desired).max() > 1e-3  # the limiter did bind
+    np.testing.assert_allclose(commands[-1], base + config.bound * action, atol=1e-12)  # and nothing was lost by it
+
+
+def test_a_command_within_reach_is_reached_in_one_period():
+    arm = arm_named("qj_2222")
+    largest = float(arm.motor_speed) * PERIOD
+    command, desired = jnp.zeros(3), jnp.array([0.4 * largest, -largest, 3.0 * largest])
+    np.testing.assert_allclose(motors.limit_speed(arm, command, desired, PERIOD), [0.4 * largest, -largest, largest])

@@ -1,0 +1,77 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arms import arm_named, random_bends
+
+from qjrl.control.sensors import (
+    TIME_CONSTANTS,
+    bends_of_rotation_vectors,
+    read_encoders,
+    remember,
+    rotation_vectors,
+)
+from qjrl.robot import bends_from_angles
+
+NOISE_DEG = 0.25
+
+
+def test_rotation_vectors_are_the_angle_along_the_direction():
+    direction, angle = jnp.array([0.3, -2.0, 3.0]), jnp.array([0.001, 0.7, 3.0])
+    expected = angle[:, None] * jnp.stack([jnp.cos(direction), jnp.sin(direction)], axis=1)
+    np.testing.assert_allclose(rotation_vectors(bends_from_angles(direction, angle)), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-8, 1e-12, 0.0])
+def test_rotation_vectors_go_and_come_back(scale):
+    bends = scale * random_bends(arm_named("qj_2222"), 1)[0]
+    vectors = rotation_vectors(jnp.asarray(bends))
+    np.testing.assert_allclose(bends_of_rotation_vectors(vectors), bends, atol=1e-15, rtol=1e-12)
+
+
+@pytest.mark.parametrize("convert", [rotation_vectors, bends_of_rotation_vectors])
+def test_values_and_gradients_are_finite_at_no_bend(convert):
+    zero = jnp.zeros((2, 2))
+    np.testing.assert_array_equal(convert(zero), zero)
+    slope = {rotation_vectors: 2.0, bends_of_rotation_vectors: 0.5}[convert]
+    jacobian = jax.jacobian(convert)(zero)
+    np.testing.assert_allclose(jacobian, slope * np.eye(4).reshape(2, 2, 2, 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["qj_huang_4332", "rolling_312"])
+def test_the_encoders_are_unbiased_with_the_noise_of_a_mean_over_the_segments_joints(name):
+    arm, count = arm_named(name), 20_000
+    bends = jnp.asarray(random_bends(arm, 1)[0])
+    keys = jax.random.split(jax.random.key(0), count)
+    readings = jax.jit(jax.vmap(lambda key: read_encoders(arm, bends, NOISE_DEG, key)))(keys)
+    errors = np.asarray(readings - rotation_vectors(bends))
+    expected = np.radians(NOISE_DEG) / np.sqrt(np.array(arm.joints_per_segment))[:, None] * np.ones((1, 2))
+    assert np.all(np.abs(errors.mean(axis=0)) < 4.0 * expected / np.sqrt(count))
+    np.testing.assert_allclose(errors.std(axis=0), expected, rtol=4.0 / np.sqrt(2 * count))
+    correlation = np.corrcoef(errors.reshape(count, -1).T) - np.eye(2 * arm.num_segments)
+    assert np.abs(correlation).max() < 5.0 / np.sqrt(count)
+
+
+def test_without_noise_the_encoders_read_the_truth():
+    arm = arm_named("qj_22")
+    bends = jnp.asarray(random_bends(arm, 1)[0])
+    np.testing.assert_array_equal(read_encoders(arm, bends, 0.0, jax.random.key(0)), rotation_vectors(bends))
+
+
+def test_the_memory_weighs_a_reading_by_its_age():
+    """Each mean is a sum over past readings, exp(-age/tau) of the newest's weight 1 - exp(-period/tau)."""
+    period, count = 0.02, 40
+    readings = np.random.default_rng(0).normal(size=(count, 2, 2))
+    memory = jnp.zeros((len(TIME_CONSTANTS), 2, 2))
+    for reading in readings:
+        memory = remember(memory, jnp.asarray(reading), period)
+    ages = np.arange(count)[::-1] * period
+    for constant, mean in zip(TIME_CONSTANTS, memory, strict=True):
+        weights = (1.0 - np.exp(-period / constant)) * np.exp(-ages / constant)
+        np.testing.assert_allclose(mean, np.tensordot(weights, readings, 1), atol=1e-12)
+
+
+def test_the_memory_of_what_never_changes_is_that():
+    reading = jnp.array([[0.3, -0.2], [0.0, 1.0]])
+    memory = jnp.broadcast_to(reading, (len(TIME_CONSTANTS), 2, 2))
+    np.testing.assert_array_equal(remember(memory, reading, 0.02), memory)
