@@ -44,8 +44,10 @@ class SettleConfig:
 
     @property
     def solver(self) -> SolverOptions:
-        """The physics' numerical settings while settling."""
-        return SolverOptions(timestep=self.timestep, damping_scale=self.damping_scale)
+        """The physics' numerical settings while settling. Armature grows with the damping: the implicit damping weakens
+        the forces of rows as damping * timestep / inertia, and with ten times the one and not the other, stops chatter."""
+        armature_scale = min(max(0.5 * self.damping_scale, 1.0), 10.0)
+        return SolverOptions(self.timestep, damping_scale=self.damping_scale, armature_scale=armature_scale)
 
     @property
     def rest_speed(self) -> float:
@@ -148,15 +150,15 @@ def settle(
 
 def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
     """Start every simulation at the nominal pose: the same equilibrium as from home, in half the steps."""
-    start = jax.jit(jax.vmap(lambda row: joint_positions(robot, _within_reach(bends_from_cables(robot, row)))))
+    start = jax.jit(jax.vmap(lambda row: joint_positions(robot, _within_reach(robot, bends_from_cables(robot, row)))))
     commands = jax.jit(jax.vmap(lambda row: strand_commands(robot, row)))
     return SettleProblem(np.asarray(start(lengths), np.float64), np.asarray(commands(lengths), np.float64))
 
 
-def _within_reach(bends: jax.Array) -> jax.Array:
-    """Bends scaled to theta <= 90 degrees: lengths no pose can have still start at some pose."""
+def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
+    """Bends scaled to the bend limit: commands beyond the reach start at a pose within it."""
     norm = jax.numpy.sqrt(jax.numpy.sum(bends**2, axis=-1, keepdims=True) + 1e-30)
-    return bends * jax.numpy.minimum(1.0, math.sin(math.pi / 4.0) / norm)
+    return bends * jax.numpy.minimum(1.0, jax.numpy.sin(robot.bend_limit / 2.0) / norm)
 
 
 def _load_backend(name: str):

@@ -1,0 +1,129 @@
+"""What ties the arm's hinges and slides: equal halves, equal joints of a segment, the rolling height, the stop.
+
+Two lengths are measured by tendons at every joint. `measure`: from c below the lower pivot to c along the chord,
+2 c cos(theta/4): it depends on theta alone, and a quartic of it gives the slide. `stop`, at the first joint of a
+segment, is the same length with a lower bound, so that the limit acts on theta whatever the direction.
+"""
+
+import math
+from xml.etree import ElementTree
+
+import numpy as np
+
+from qjrl.config import ConfigError
+from qjrl.robot.mjcf_text import add_element
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.joint import height_of_cosine
+from qjrl.robot.quaternion_arm.naming import first_of_segment, joint_labels
+
+# Sites of the measuring tendons lie this far from the pivots [m]; any value serves, near the joint's size is best.
+MEASURING_ARM = 0.030
+# Nearly rigid rows. With MuJoCo's default impedance the tip rests 6 mm off and moves with armature and solref.
+HARD_SOLIMP = "0.9999 0.9999 0.001 0.5 2"
+# The slide follows the closed form this closely [m]; 2e-9 for the default arm.
+LARGEST_FIT_ERROR = 1e-6
+# MuJoCo makes a row as soft as its inverse inertia *at home*, where `measure` does not change to first order: a limit on
+# it alone is infinitely hard and chatters (theta up to 80 degrees at a stop of 72, for ever). So `stop` adds two strings
+# that run sideways from far points of the chord to the axes of the two plates: what one pays out the other takes in, as
+# the halves are equal, and only the inverse inertia at home sees them. FAR [m] makes them straight. SOFTNESS is how much
+# of their length counts, relative to how fast `measure` changes at the stop: with 0.8 the stop gives way by 0.3 degrees
+# under the full strength of all strands, and rests; with 0.5 some poses chatter.
+FAR = 30.0
+SOFTNESS = 0.8
+HIDDEN_SITE = {"size": "0.001", "group": "4"}
+
+
+def add_measuring_sites(
+    parent: ElementTree.Element,
+    chord: ElementTree.Element,
+    link: ElementTree.Element,
+    label: str,
+    plate_height: float,
+    home_height: float,
+) -> None:
+    """Sites of the tendons `measure` and `stop` of one joint."""
+    c = MEASURING_ARM
+    add_element(parent, "site", name=f"below_{label}", pos=(0.0, 0.0, plate_height - c), **HIDDEN_SITE)
+    add_element(chord, "site", name=f"along_{label}", pos=(0.0, 0.0, c), **HIDDEN_SITE)
+    if label == first_of_segment(label):
+        add_element(chord, "site", name=f"far_below_{label}", pos=(-FAR, 0.0, -c), **HIDDEN_SITE)
+        add_element(chord, "site", name=f"far_above_{label}", pos=(FAR, 0.0, home_height + c), **HIDDEN_SITE)
+        add_element(link, "site", name=f"above_{label}", pos=(0.0, 0.0, c), **HIDDEN_SITE)
+
+
+def add_stops_and_heights(tendon: ElementTree.Element, arm: QuaternionArm) -> None:
+    """The stop of every segment's first joint, whose coupling passes it on, and what ties the slides of rolling joints."""
+    for label in joint_labels(arm):
+        if label == first_of_segment(label):
+            _add_stop(tendon, arm, label)
+        if arm.joint_model == "rolling":
+            _add_path(tendon, f"measure_{label}", [(f"below_{label}", f"along_{label}", 1.0)])
+            fixed = add_element(tendon, "fixed", name=f"height_{label}")
+            add_element(fixed, "joint", joint=f"slide_{label}", coef=1)
+
+
+def add_equalities(root: ElementTree.Element, arm: QuaternionArm, time_constant: float) -> None:
+    """Equal halves of a joint, equal joints of a segment, and the height of the rolling joint."""
+    equality = add_element(root, "equality")
+    hard = {"solref": (time_constant, 1.0), "solimp": HARD_SOLIMP}
+    polynomial = fit_height_polynomial(arm) if arm.joint_model == "rolling" else None
+    for label in joint_labels(arm):
+        first = first_of_segment(label)
+        for axis in "xy":
+            lower = f"lower_{axis}_{label}"
+            add_element(equality, "joint", joint1=f"upper_{axis}_{label}", joint2=lower, **hard)
+            if label != first:
+                add_element(equality, "joint", joint1=lower, joint2=f"lower_{axis}_{first}", **hard)
+        if polynomial is not None:
+            tied = {"tendon1": f"height_{label}", "tendon2": f"measure_{label}", "polycoef": polynomial}
+            add_element(equality, "tendon", **tied, **hard)
+
+
+def fit_height_polynomial(arm: QuaternionArm) -> np.ndarray:
+    """Quartic (5,) that gives the slide H(theta) - H(0) from the length change of `measure`, lowest order first.
+
+    Raises:
+        ConfigError: the height changes too sharply near home for a quartic, pins nearly as far apart as the links are long.
+    """
+    joint = arm.config.joint
+    angles = np.linspace(0.0, math.radians(min(joint.bend_limit_deg + joint.stop_margin_deg + 3.0, 95.0)), 400)
+    measured = 2.0 * MEASURING_ARM * (np.cos(angles / 4.0) - 1.0)
+    shape = (joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin)
+    slide = height_of_cosine(*shape, np.cos(angles / 2.0)) - height_of_cosine(*shape, 1.0)
+    scale = np.abs(measured).max()
+    powers = (measured[:, None] / scale) ** np.arange(1, 5)
+    coefficients, *_ = np.linalg.lstsq(powers, slide, rcond=None)
+    if np.abs(powers @ coefficients - slide).max() > LARGEST_FIT_ERROR:
+        raise ConfigError(
+            f"robot.joint.pin_distance: got {joint.pin_distance}, allowed: up to about 0.85 crossed_link_length = "
+            f"{0.85 * joint.crossed_link_length:.4g}; beyond, the height changes too sharply for the physics"
+        )
+    return np.concatenate([[0.0], coefficients / scale ** np.arange(1, 5)])
+
+
+def _add_stop(tendon: ElementTree.Element, arm: QuaternionArm, label: str) -> None:
+    joint = arm.config.joint
+    stop = math.radians(joint.bend_limit_deg + joint.stop_margin_deg)
+    share = SOFTNESS * math.sin(stop / 4.0)
+    strings = 2.0 * FAR * share
+    limit = {
+        "range": (strings + 2.0 * MEASURING_ARM * math.cos(stop / 4.0), 2.0 * strings),
+        "solreflimit": "0.008 1",
+        "solimplimit": HARD_SOLIMP,
+    }
+    branches = [
+        (f"below_{label}", f"along_{label}", 1.0),
+        (f"far_below_{label}", f"below_{label}", share),
+        (f"far_above_{label}", f"above_{label}", share),
+    ]
+    _add_path(tendon, f"stop_{label}", branches, **limit)
+
+
+def _add_path(tendon: ElementTree.Element, name: str, branches: list[tuple[str, str, float]], **attributes) -> None:
+    """A hidden spatial tendon: the sum of straight branches between two sites, each times its share."""
+    spatial = add_element(tendon, "spatial", name=name, rgba="0 0 0 0", **attributes)
+    for start, end, share in branches:
+        if share != 1.0:
+            add_element(spatial, "pulley", divisor=1.0 / share)
+        add_element(spatial, "site", site=start)
+        add_element(spatial, "site", site=end)

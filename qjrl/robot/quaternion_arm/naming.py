@@ -1,0 +1,24 @@
+"""Names of the MJCF's elements."""
+
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+
+
+def joint_labels(arm: QuaternionArm) -> list[str]:
+    """Labels "segment_joint" from the base, both counted from 1; the name of every joint's element ends in one."""
+    return [f"{k + 1}_{j + 1}" for k, count in enumerate(arm.joints_per_segment) for j in range(count)]
+
+
+def segment_of(label: str) -> int:
+    """Index of the segment, counted from 0, that a joint belongs to."""
+    return int(label.split("_")[0]) - 1
+
+
+def first_of_segment(label: str) -> str:
+    """Label of the first joint of the same segment."""
+    return label.split("_")[0] + "_1"
+
+
+def strand_name(arm: QuaternionArm, strand: int) -> str:
+    """ "strand_NUMBER_a" at the cable's hole angle, "strand_NUMBER_b" opposite to it."""
+    numbers = [number for pair in arm.config.cables.names for number in pair]
+    return f"strand_{numbers[strand // 2]}_{'ab'[strand % 2]}"
