@@ -1,77 +1,26 @@
 """The residual environment: many arms, each reaching one target with a base controller and a learned residual.
 
-A thin shell around free functions: motors, sensors, observations and rewards are pure; the physics is a stepper.
-Episodes end by the time limit alone (truncation). A diverged simulation is invalid and starts afresh.
+A thin shell around the pure functions of `episode`; the physics is a stepper. Episodes end by the time limit alone
+(truncation). A diverged simulation is invalid and starts afresh.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from functools import cache, partial
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
-from qjrl.config import Range
-from qjrl.control import motors
-from qjrl.control.observations import (
-    ACTION_HISTORY,
-    ControlState,
-    TrueState,
-    actor_observation,
-    critic_observation,
-)
-from qjrl.control.randomisation import RandomisationConfig, draw_parameters
-from qjrl.control.rewards import RewardConfig, reward
-from qjrl.control.sensors import TIME_CONSTANTS, read_encoders, remember
-from qjrl.geometry.pose import orientation_error, position_error
-from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Observation, Transition
-from qjrl.robot import configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.control import episode
+from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.observations import ControlState, TrueState
+from qjrl.learning.ppo.environment import Observation, Transition
+from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import PhysicalParameters, Readout, Stepper
-
-
-@dataclasses.dataclass(frozen=True)
-class EnvironmentConfig:
-    """One episode and one step."""
-
-    episode_steps: Annotated[int, Range(10, 100_000)] = 200
-    """Control steps of an episode (paper 000, section 5.4.2: 4 s)."""
-    control_period: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
-    """[s]; 50 Hz (paper 000, section 4)."""
-    latest_arrival: Annotated[float, Range(above=0.0)] = 3.0
-    """Targets whose base ramp ends later are left out and counted [s]."""
-    scored_time: Annotated[float, Range(above=0.0)] = 0.5
-    """Errors are judged over this long at the end of an episode [s]."""
-    residual: motors.ResidualConfig = motors.ResidualConfig()
-    reward: RewardConfig = RewardConfig()
-    randomisation: RandomisationConfig = RandomisationConfig()
-
-    def __post_init__(self):
-        duration = self.episode_steps * self.control_period
-        if self.latest_arrival + self.scored_time > duration:
-            raise ValueError(
-                f"latest_arrival: got {self.latest_arrival}, allowed: at most {duration - self.scored_time:g} "
-                f"(an episode of {duration:g} s less scored_time)"
-            )
-
-    @property
-    def scored_steps(self) -> int:
-        """Control steps over which the error is judged."""
-        return math.ceil(self.scored_time / self.control_period)
-
-
-@struct.dataclass
-class Bank:
-    """Targets and base commands that episodes draw from."""
-
-    target: jax.Array
-    """(rows, 9)."""
-    base_lengths: jax.Array
-    """(rows, num_cables) [m]."""
 
 
 class ResidualEnvironment:
@@ -92,14 +41,7 @@ class ResidualEnvironment:
         rows: np.ndarray | None = None,
     ):
         self.num_envs, self.action_size = stepper.num_sims, robot.num_cables
-        self.config, self._robot, self._bank, self._stepper, self._rows, self._seed = (
-            config,
-            robot,
-            bank,
-            stepper,
-            rows,
-            seed,
-        )
+        self._robot, self._bank, self._stepper, self._rows, self._seed = robot, bank, stepper, rows, seed
         self._substeps = max(1, round(config.control_period / stepper.timestep))
         self._compiled = _compile(config)
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
@@ -216,118 +158,17 @@ class _Compiled:
 @cache
 def _compile(config: EnvironmentConfig) -> _Compiled:
     return _Compiled(
-        begin=jax.jit(jax.vmap(partial(_begin, config), in_axes=(None, None, 0, 0, 0))),
-        restart=jax.jit(partial(_restart_some, jax.vmap(partial(_restart, config), in_axes=(None, 0, 0)))),
-        command=jax.jit(jax.vmap(partial(_command, config), in_axes=(None, 0, 0))),
-        observe=jax.jit(jax.vmap(partial(_observe, config), in_axes=(None, 0, 0))),
+        begin=jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0))),
+        restart=jax.jit(partial(_restart_some, jax.vmap(partial(episode.restart, config), in_axes=(None, 0, 0)))),
+        command=jax.jit(jax.vmap(partial(episode.command, config), in_axes=(None, 0, 0))),
+        observe=jax.jit(jax.vmap(partial(episode.observe, config), in_axes=(None, 0, 0))),
     )
-
-
-@struct.dataclass
-class _Begun:
-    state: ControlState
-    parameters: dict[str, jax.Array]
-
-
-@struct.dataclass
-class _Outcome:
-    state: ControlState
-    observation: dict[str, jax.Array]
-    reward: jax.Array
-    is_over: jax.Array
-    metrics: dict[str, jax.Array]
-
-
-def _begin(
-    config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array
-) -> _Begun:
-    """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
-    key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
-    row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
-    cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
-    zeros = jnp.zeros((robot.num_cables,), bank.base_lengths.dtype)
-    readings = jnp.zeros((robot.num_segments, 2), bank.base_lengths.dtype)
-    state = ControlState(
-        target=bank.target[row],
-        base_lengths=bank.base_lengths[row],
-        command=zeros,
-        residual=zeros,
-        actions=jnp.zeros((ACTION_HISTORY, robot.num_cables), zeros.dtype),
-        reading=readings,
-        memory=jnp.zeros((len(TIME_CONSTANTS), *readings.shape), zeros.dtype),
-        step=jnp.zeros((), jnp.int32),
-        initial_errors=jnp.zeros(2, zeros.dtype),
-        episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
-        key=key_next,
-    )
-    return _Begun(state, draw_parameters(config.randomisation, key_parameters))
-
-
-def _restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
-    """First reading and first observation of an episode, from the physics at rest at home."""
-    key_noise, key_next = jax.random.split(state.key)
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
-    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
-    errors = _errors(truth, state)
-    memory = jnp.broadcast_to(reading, state.memory.shape)
-    state = dataclasses.replace(
-        state, reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next
-    )
-    return state, _observation(config, robot, state, truth, errors)
 
 
 def _restart_some(restart, robot: Robot, states: ControlState, fresh: ControlState, truth: TrueState, ids: jax.Array):
     """`_restart` for simulations `ids` among all; the states of the others stay."""
     fresh, first = restart(robot, fresh, jax.tree.map(lambda value: value[ids], truth))
     return jax.tree.map(lambda old, new: old.at[ids].set(new), states, fresh), first
-
-
-def _command(config: EnvironmentConfig, robot: Robot, state: ControlState, action: jax.Array):
-    """The next control state's commands and the strands' rest lengths: base and residual summed before one limiter."""
-    period = config.control_period
-    residual = motors.move_residual(config.residual, state.residual, action, period)
-    desired = motors.ramped_base(robot, state.base_lengths, (state.step + 1) * period) + residual
-    command = motors.limit_speed(robot, state.command, desired, period)
-    actions = jnp.concatenate([action[None], state.actions[:-1]])
-    return dataclasses.replace(state, residual=residual, command=command, actions=actions), strand_commands(
-        robot, command
-    )
-
-
-def _observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> _Outcome:
-    """Sensors, reward and end of episode after the physics has moved."""
-    key_noise, key_next = jax.random.split(state.key)
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
-    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
-    memory = remember(state.memory, reading, config.control_period).astype(state.memory.dtype)
-    state = dataclasses.replace(state, step=state.step + 1, reading=reading, memory=memory, key=key_next)
-    errors = _errors(truth, state)
-    has_arrived = _ramp(config, robot, state) >= 1.0
-    step_reward = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
-    metrics = {
-        "position_error": errors[0],
-        "orientation_error": errors[1],
-        "residual": jnp.max(jnp.abs(state.residual)),
-    }
-    observation = _observation(config, robot, state, truth, errors)
-    return _Outcome(state, observation, step_reward, state.step >= state.episode_steps, metrics)
-
-
-def _observation(
-    config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array
-) -> dict[str, jax.Array]:
-    actor = actor_observation(robot, state, _ramp(config, robot, state))
-    return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors)}
-
-
-def _ramp(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """How much of the base command is ramped in, 0 to 1."""
-    duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
-    return jnp.minimum(state.step * config.control_period / duration, 1.0)
-
-
-def _errors(truth: TrueState, state: ControlState) -> jax.Array:
-    return jnp.stack([position_error(truth.pose, state.target), orientation_error(truth.pose, state.target)])
 
 
 def _truth(readout: Readout) -> TrueState:

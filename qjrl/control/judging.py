@@ -5,7 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.motors import ramp_time
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.robot.verbs import Robot

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import ConfigError, Range
-from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, arrives_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig

@@ -16,7 +16,7 @@ from worlds import (
 
 from qjrl.config import ConfigError, build
 from qjrl.control import motors
-from qjrl.control.environment import EnvironmentConfig
+from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.observations import ACTION_HISTORY
 from qjrl.control.policy_training import acting
 from qjrl.learning.ppo.config import PPOConfig

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from arms import arm_named, over_rows, random_bends
 
-from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation.stepping import MujocoStepper
 
