@@ -1,0 +1,189 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from worlds import ARM, CONFIG, NUM_ENVS, bank, judged_environment, random_actions
+
+from qjrl.control.comparison import compare_controllers
+from qjrl.control.episode import Bank
+from qjrl.control.judging import Judge, arrives_in_time, do_nothing
+from qjrl.control.motors import ramp_time
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.environment import ACTOR_KEY
+from qjrl.learning.ppo.policy import Policy
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.stepping import MujocoStepper
+
+QUANTITIES = ("position_error", "orientation_error", "strand_tension", "is_valid")
+
+
+def rows_of(targets, rows):
+    return Bank(targets.target[np.asarray(rows)], targets.base_lengths[np.asarray(rows)])
+
+
+def judge_of(targets, seed=5):
+    return Judge(ARM, CONFIG, targets, MujocoStepper(ARM, len(targets.target)), seed)
+
+
+@pytest.fixture(scope="module")
+def judge():
+    return judge_of(rows_of(bank(), range(NUM_ENVS)))
+
+
+@pytest.fixture(scope="module")
+def base_alone(judge):
+    return judge.judge()
+
+
+def assert_same_judgement(one, other):
+    for quantity in QUANTITIES:
+        np.testing.assert_array_equal(getattr(one, quantity), getattr(other, quantity), err_msg=quantity)
+
+
+def physics_of(env):
+    """Parameters of every arm and the first readings of its encoders."""
+    observation = env.reset()
+    state = env.get_state()
+    parameters = {
+        name: value for name, value in state.items() if name.startswith("physics/") and name != "physics/state"
+    }
+    return parameters, observation[ACTOR_KEY][:, 2 * ARM.num_segments : 4 * ARM.num_segments]
+
+
+def test_judging_twice_gives_the_same_numbers(judge, base_alone):
+    assert_same_judgement(judge.judge(), base_alone)
+
+
+def test_doing_nothing_is_the_base_controller(judge, base_alone):
+    assert_same_judgement(judge.judge(lambda seen: do_nothing(seen, ARM.num_cables)), base_alone)
+
+
+def test_every_controller_meets_the_same_arms_and_the_same_noise(judge):
+    """The parameters and the readings' noise do not depend on what the controller does."""
+    env = judged_environment(seed=5)
+    parameters, readings = physics_of(env)
+    noise = []
+    for actions in (np.zeros((6, NUM_ENVS, ARM.num_cables)), random_actions(6)):
+        env.reset()
+        for action in actions:
+            env.step(action)
+        state = env.get_state()
+        for name, value in parameters.items():
+            np.testing.assert_array_equal(state[name], value, err_msg=name)
+        noise.append(state["control/key"])
+    np.testing.assert_array_equal(noise[0], noise[1])
+    other_base = dataclasses.replace(bank(), base_lengths=0.5 * bank().base_lengths)
+    env_of_other_base = type(env)(ARM, CONFIG, other_base, MujocoStepper(ARM, NUM_ENVS), 5, np.arange(NUM_ENVS))
+    other_parameters, other_readings = physics_of(env_of_other_base)
+    for name, value in parameters.items():
+        np.testing.assert_array_equal(other_parameters[name], value, err_msg=name)
+    np.testing.assert_array_equal(readings, other_readings)
+
+
+def test_arms_differ_from_row_to_row_and_from_seed_to_seed():
+    parameters, _ = physics_of(judged_environment(seed=5))
+    others, _ = physics_of(judged_environment(seed=6))
+    for name in ("strand_damping_scale", "strand_friction", "armature_scale", "gain_scale", "tilt"):
+        values = parameters[f"physics/{name}"]
+        assert len(np.unique(values, axis=0)) == NUM_ENVS
+        assert not np.any(values == others[f"physics/{name}"])
+
+
+def test_a_controller_that_drives_away_is_judged_worse(judge, base_alone):
+    away = judge.judge(lambda seen: np.ones((len(seen), ARM.num_cables), np.float32))
+    assert np.all(away.position_error > base_alone.position_error)
+
+
+def test_errors_are_means_over_the_scored_end(judge):
+    env = judged_environment(seed=5)
+    env.reset()
+    errors = [
+        env.step(np.zeros((NUM_ENVS, ARM.num_cables))).metrics["position_error"] for _ in range(CONFIG.episode_steps)
+    ]
+    expected = np.mean(errors[-CONFIG.scored_steps :], axis=0)
+    np.testing.assert_array_equal(judge.judge().position_error, expected)
+
+
+def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(judge, base_alone):
+    calls = []
+
+    def act(seen):
+        calls.append(0)
+        actions = do_nothing(seen, ARM.num_cables)
+        actions[1] = np.nan if len(calls) == 7 else 0.0
+        return actions
+
+    judged, others = judge.judge(act), [0, 2, 3]
+    assert judged.is_valid.tolist() == [True, False, True, True] and base_alone.is_valid.all()
+    for quantity in QUANTITIES:
+        np.testing.assert_array_equal(getattr(judged, quantity)[others], getattr(base_alone, quantity)[others])
+
+
+def test_progress_counts_every_step_of_every_arm(judge):
+    counted = []
+    judge.judge(advance=counted.append)
+    assert sum(counted) == CONFIG.episode_steps * NUM_ENVS
+
+
+def test_targets_that_come_too_late_are_told_apart():
+    lengths = np.asarray(bank().base_lengths)
+    times = np.array([float(ramp_time(ARM, row)) for row in lengths])
+    middle = float(np.median(times))
+    config = dataclasses.replace(CONFIG, latest_arrival=middle)
+    assert arrives_in_time(ARM, config, lengths).tolist() == (times <= middle).tolist()
+    assert 0 < np.sum(times <= middle) < len(times)
+
+
+# --- comparison ---------------------------------------------------------------------------------------------------
+
+
+def columns(num_late=1):
+    """Columns of `ik/held_out.npz`: four targets a set, the last `num_late` of each too far for the motors."""
+    targets = bank()
+    lengths = np.array(targets.base_lengths)
+    late = np.concatenate([np.arange(4 - num_late, 4), np.arange(8 - num_late, 8)]).astype(int)
+    lengths[late] *= 100.0
+    return {
+        "target_set": np.repeat([0, 1], 4),
+        "target": np.asarray(targets.target),
+        "nominal_lengths": lengths,
+        "learned_lengths": np.asarray(targets.base_lengths),
+    }
+
+
+def policy_that(bias):
+    """A policy whose action is tanh(bias) everywhere."""
+    size = judged_environment().observation_sizes[ACTOR_KEY]
+    head = np.concatenate([np.full(ARM.num_cables, bias), np.zeros(ARM.num_cables)]).astype(np.float32)
+    layers = {"hidden_0": {"kernel": np.zeros((size, 2 * ARM.num_cables), np.float32), "bias": head}}
+    ones = np.ones(size, np.float32)
+    return Policy(layers, 0 * ones, ones, activation="tanh", observation_clip=10.0)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    config = PolicyConfig(environment=CONFIG)
+    return compare_controllers(ARM, SettleConfig(), config, policy_that(0.0), columns(), seed=3)
+
+
+def test_all_controllers_are_compared_on_both_sets_and_the_same_rows(compared):
+    assert set(compared) == {(s, c) for s in TARGET_SETS for c in ("nominal", "learned_ik", "learned_ik+residual")}
+    assert {len(judgement.position_error) for judgement, _ in compared.values()} == {3}
+    assert {left_out for _, left_out in compared.values()} == {1}
+
+
+def test_a_policy_that_does_nothing_equals_its_base_bit_for_bit(compared):
+    for target_set in TARGET_SETS:
+        assert_same_judgement(compared[target_set, "learned_ik+residual"][0], compared[target_set, "learned_ik"][0])
+        # The two bases of these columns are the same where they are in time.
+        assert_same_judgement(compared[target_set, "nominal"][0], compared[target_set, "learned_ik"][0])
+
+
+def test_a_policy_that_drives_away_shows(compared):
+    config = PolicyConfig(environment=CONFIG)
+    found = compare_controllers(ARM, SettleConfig(), config, policy_that(3.0), columns(), seed=3)
+    for target_set in TARGET_SETS:
+        assert_same_judgement(found[target_set, "nominal"][0], compared[target_set, "nominal"][0])
+        pair = found[target_set, "learned_ik+residual"][0], found[target_set, "learned_ik"][0]
+        assert np.all(pair[0].position_error > pair[1].position_error)

@@ -1,0 +1,127 @@
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+from worlds import ARM, CONFIG, assert_same_bits, bank, environment
+
+from qjrl.artifacts import load
+from qjrl.config import ConfigError
+from qjrl.control.policy_training import PolicyConfig, train_policy
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.policy import deterministic_action
+from qjrl.learning.ppo.train import train
+from qjrl.simulation.settle_problem import SettleConfig
+
+ITERATIONS, NUM_ENVS = 4, 4
+PPO = PPOConfig(
+    num_steps=ITERATIONS * 8 * NUM_ENVS,
+    unroll_length=8,
+    num_epochs=2,
+    num_minibatches=2,
+    actor_layers=(16,),
+    critic_layers=(16,),
+    checkpoint_every=2,
+)
+POLICY = PolicyConfig(num_envs=NUM_ENVS, num_judged=1, environment=CONFIG, ppo=PPO)
+
+
+def columns():
+    """Columns of `ik/bank.npz`; the last target of the first set is out of reach in time."""
+    targets = bank()
+    lengths = np.array(targets.base_lengths)
+    lengths[3] *= 100.0
+    return {
+        "target_set": np.repeat([0, 1], 4),
+        "target": np.asarray(targets.target),
+        "nominal_lengths": lengths,
+        "learned_lengths": lengths,
+    }
+
+
+def interrupt_at(iteration):
+    def callback(record):
+        if record["iteration"] == iteration:
+            raise KeyboardInterrupt
+
+    return callback
+
+
+def assert_same_tree(one, other):
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(lambda a, b: np.testing.assert_array_equal(np.asarray(a), np.asarray(b)), one, other)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("whole")
+    env = environment()
+    return train(env, PPO, 0, directory), directory, env.get_state()
+
+
+@pytest.mark.parametrize("iteration", [1, 3])  # before the first checkpoint after the start, and between two
+def test_a_training_resumed_on_the_real_arm_equals_an_uninterrupted_one_bit_for_bit(whole, tmp_path, iteration):
+    with pytest.raises(KeyboardInterrupt):
+        train(environment(), PPO, 0, tmp_path, callbacks=[interrupt_at(iteration)])
+    env = environment()
+    policy = train(env, PPO, 0, tmp_path)
+    expected, directory, state = whole
+    assert_same_tree(policy, expected)
+    assert_same_tree(load(tmp_path / "checkpoints"), load(directory / "checkpoints"))
+    assert_same_bits(env.get_state(), state)
+
+
+def test_no_training_state_holds_a_float64_leaf(whole):
+    training = load(whole[1] / "checkpoints")[str(ITERATIONS)]["training"]
+    assert {leaf.dtype for leaf in jax.tree.leaves(training)} <= {
+        np.dtype(t) for t in (np.float32, np.int32, np.uint32)
+    }
+
+
+def test_training_moved_the_policy_and_no_step_diverged(whole):
+    policy, directory, _ = whole
+    seen = np.ones((3, policy.mean.shape[0]), np.float32)
+    assert np.abs(deterministic_action(policy, seen)).max() > 0
+    assert [record["invalid"] for record in load(directory / "progress.jsonl")[1:]] == [0] * ITERATIONS
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("policy")
+    return train_policy(ARM, SettleConfig(), POLICY, columns(), 0, directory), directory
+
+
+def test_a_policy_is_trained_and_judged_on_targets_set_apart(trained):
+    found, directory = trained
+    assert found.left_out == {"uniform": 1, "near_home": 0}
+    assert found.bare_steps_per_second > 0
+    records = load(directory / "progress.jsonl")
+    judged = [record for record in records if "evaluation/median_mm" in record]
+    assert [record["iteration"] for record in judged] == [0, 2, 4]
+    for record in judged:
+        medians = [record[f"evaluation/{name}_median_mm"] for name in ("uniform", "near_home")]
+        assert record["evaluation/median_mm"] == pytest.approx(np.mean(medians))  # one target of each
+
+
+def test_the_policy_kept_is_the_best_of_those_judged(trained):
+    found, directory = trained
+    records = [record for record in load(directory / "progress.jsonl") if "evaluation/median_mm" in record]
+    best = min(records, key=lambda record: record["evaluation/median_mm"])
+    seen = np.ones((1, found.policy.mean.shape[0]), np.float32)
+    is_untrained = not np.any(deterministic_action(found.policy, seen))
+    assert is_untrained == (best["iteration"] == 0)
+
+
+def test_a_finished_training_is_only_read_again(trained):
+    found, directory = trained
+    before = (directory / "progress.jsonl").read_text()
+    again = train_policy(ARM, SettleConfig(), POLICY, columns(), 0, directory)
+    assert_same_tree(again.policy, found.policy)
+    assert (directory / "progress.jsonl").read_text() == before
+
+
+def test_a_bank_that_is_too_small_is_one_line(tmp_path):
+    config = dataclasses.replace(POLICY, num_judged=3)
+    with pytest.raises(ConfigError, match="policy.num_judged: got 3, allowed: fewer than the 3 uniform targets"):
+        train_policy(ARM, SettleConfig(), config, columns(), 0, tmp_path)
+    assert not any(tmp_path.iterdir())
