@@ -56,7 +56,8 @@ def main() -> int:
         print(f"qjrl {__version__}")
         return 0
     try:
-        with tempfile.TemporaryDirectory(prefix="qjrl-") as folder:
+        shared = Path.cwd() if any("submitit_slurm" in argument for argument in arguments) else None  # other machines
+        with tempfile.TemporaryDirectory(prefix=".qjrl-", dir=shared) as folder:
             return _launch(_with_robot_files(arguments, Path(folder)))
     except (ConfigError, ArtifactError) as error:
         return _complain(error)
