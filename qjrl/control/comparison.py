@@ -10,7 +10,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 
 # Offset of the run's seed: arms that no training and no earlier judgement has seen.
 _COMPARE_SEED = 4_000_003

@@ -13,7 +13,8 @@ from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.settling import SettleConfig, SettleResult, settle
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import SettleResult, settle
 from qjrl.solvers.adam import AdamConfig, solve_adam
 
 # Offsets of the run's seed, so that no target is drawn twice for different purposes.

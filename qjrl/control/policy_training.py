@@ -20,7 +20,7 @@ from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
 

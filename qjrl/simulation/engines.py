@@ -1,7 +1,7 @@
 """The engine of `simulation.backend`, as a stepper."""
 
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper, Stepper
 
 

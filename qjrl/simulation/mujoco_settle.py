@@ -9,7 +9,7 @@ from mujoco import batch
 
 from qjrl.robot import build_mjcf
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.settling import RawSettled, SettleConfig, SettleProblem
+from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 
 def settle_mujoco(robot: Robot, problem: SettleProblem, config: SettleConfig, advance) -> RawSettled:

@@ -15,7 +15,8 @@ from qjrl.config import ConfigError, Range
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.settling import SettleConfig, SettleResult, settle
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import SettleResult, settle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +61,7 @@ def sample_rows(
     robot: Robot, simulation: SettleConfig, seed: int, start: int, count: int, advance=None
 ) -> dict[str, np.ndarray]:
     """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
-    numbers = qmc.Sobol(2 * robot.num_segments, rng=np.random.default_rng(seed))
-    numbers = numbers.fast_forward(start).random(count) if start else numbers.random(count)
+    numbers = _sobol(2 * robot.num_segments, seed, start, count)
     to_lengths = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))
     lengths = np.asarray(to_lengths(jnp.asarray(numbers)), np.float64)
     return dataset_rows(lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
@@ -84,7 +84,7 @@ def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[s
 
 def _sobol(dimensions: int, seed: int, start: int, count: int) -> np.ndarray:
     """Points start .. start + count of the scrambled sequence, (count, dimensions)."""
-    sequence = qmc.Sobol(dimensions, seed=seed)
+    sequence = qmc.Sobol(dimensions, rng=seed)
     if start:
         sequence.fast_forward(start)
     return sequence.random(2 ** (count - 1).bit_length())[:count]  # scipy warns of anything but a power of two

@@ -1,68 +1,17 @@
 """Settle: hold cable lengths in the physics until the arm rests, and read its pose and tensions."""
 
-import dataclasses
-import math
-from typing import Annotated, Literal
 
 import jax
 import numpy as np
 from flax import struct
 
-from qjrl.config import Range
 from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.mujoco_settle import settle_mujoco
+from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 # Below this tension [N] a strand counts as slack.
 SLACK_TENSION = 0.01
-
-
-@dataclasses.dataclass(frozen=True)
-class SettleConfig:
-    """How to settle (group `simulation`). None of it moves the settled pose by more than 0.02 mm."""
-
-    backend: Literal["mujoco", "mjx"] = "mujoco"
-    """"mujoco": batches of C MuJoCo on the CPU's cores; "mjx": JAX, for accelerators (float32)."""
-    timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
-    """Time step [s]."""
-    speed_tolerance: Annotated[float, Range(above=0.0, high=0.1)] = 1e-4
-    """At rest: mean |joint velocity| below this [rad/s] at the robot's own damping, see `rest_speed`."""
-    hold_time: Annotated[float, Range(above=0.0, high=10.0)] = 0.05
-    """... for this long [s]."""
-    max_time: Annotated[float, Range(above=0.0, high=600.0)] = 6.0
-    """What does not rest by then is flagged [s of simulated time]."""
-    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 10.0
-    """Joint damping while settling, times the robot's: the equilibrium stays, the oscillation does not."""
-    batch_size: Annotated[int, Range(low=1, high=65536)] = 256
-    """Simulations side by side."""
-    num_threads: Annotated[int, Range(low=0, high=1024)] = 0
-    """Threads of C MuJoCo; 0 = all cores."""
-
-    def __post_init__(self):
-        if self.hold_time >= self.max_time:
-            raise ValueError(f"hold_time: got {self.hold_time}, allowed: less than max_time = {self.max_time}")
-
-    @property
-    def solver(self) -> SolverOptions:
-        """The physics' numerical settings while settling. Armature grows with the damping: the implicit damping weakens
-        the forces of rows as damping * timestep / inertia, and with ten times the one and not the other, stops chatter."""
-        armature_scale = min(max(0.5 * self.damping_scale, 1.0), 10.0)
-        return SolverOptions(self.timestep, damping_scale=self.damping_scale, armature_scale=armature_scale)
-
-    @property
-    def rest_speed(self) -> float:
-        """Mean |joint velocity| that counts as rest [rad/s]: with s times the damping, what is left to move creeps s times slower."""
-        return self.speed_tolerance / max(self.damping_scale, 1.0)
-
-    @property
-    def hold_steps(self) -> int:
-        """Consecutive steps at rest that count as settled."""
-        return math.ceil(self.hold_time / self.timestep)
-
-    @property
-    def max_steps(self) -> int:
-        """Steps after which a simulation is given up."""
-        return math.ceil(self.max_time / self.timestep)
 
 
 @struct.dataclass
@@ -96,28 +45,6 @@ class SettleResult:
         """(n, cables) force that each motor holds [N]: the difference of its loop's two strands, to compare with the bound
         `motors.force`. The physics does not clip it: a pose that needs more is one that the real arm does not reach."""
         return self.strand_tension[:, 0::2] - self.strand_tension[:, 1::2]
-
-
-@dataclasses.dataclass(frozen=True)
-class SettleProblem:
-    """What a backend needs: where each simulation starts and what its actuators hold."""
-
-    joint_positions: np.ndarray
-    """(n, nq) start [rad, m]."""
-    strand_commands: np.ndarray
-    """(n, strands) rest lengths [m]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class RawSettled:
-    """What a backend reads off at the end, one row a simulation."""
-
-    joint_positions: np.ndarray
-    pose: np.ndarray
-    strand_tension: np.ndarray
-    speed: np.ndarray
-    steps: np.ndarray
-    converged: np.ndarray
 
 
 def settle(
@@ -162,13 +89,11 @@ def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
 
 
 def _load_backend(name: str):
-    """Backends are imported when used: MJX takes seconds to import."""
+    """MJX takes seconds to import: only when it is asked for."""
     if name == "mjx":
         from qjrl.simulation.mjx_settle import settle_mjx
 
         return settle_mjx
-    from qjrl.simulation.mujoco_settle import settle_mujoco
-
     return settle_mujoco
 
 

@@ -19,7 +19,8 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.settling import SLACK_TENSION, SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import SLACK_TENSION
 
 log = logging.getLogger(__name__)
 

@@ -12,7 +12,7 @@ from qjrl.control.inversion import BANK_SEED, HELD_OUT_SEED, IKConfig, settle_an
 from qjrl.control.targets import TARGET_SETS
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
 

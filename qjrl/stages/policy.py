@@ -9,7 +9,7 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.control.policy_training import PolicyConfig, train_policy
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ import numpy as np
 from qjrl import artifacts, progress
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.simulation.sampling import SampleConfig, rows_done, sample_dataset
-from qjrl.simulation.settling import SettleConfig
+from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
 

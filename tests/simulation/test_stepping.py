@@ -6,7 +6,8 @@ from arms import arm_named, random_bends
 
 from qjrl.robot import cable_lengths, joint_positions, strand_commands
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.settling import SettleConfig, settle
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import settle
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
 STATE = ("joint_positions", "joint_velocities", "strand_lengths", "strand_velocities", "strand_tension", "pose")
@@ -41,7 +42,16 @@ def arm():
 
 
 # One simulation a variation; each parameter alone, so that none can hide behind another.
-VARIATIONS = ["nominal", "damping", "armature", "gain", "tilt", "friction", "friction_from_beyond", "nominal_from_beyond"]
+VARIATIONS = [
+    "nominal",
+    "damping",
+    "armature",
+    "gain",
+    "tilt",
+    "friction",
+    "friction_from_beyond",
+    "nominal_from_beyond",
+]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +78,12 @@ def varied():
     stepper.step(goal, 900)
     readout = stepper.read()
     assert readout.is_finite.all()
-    return dict(zip(VARIATIONS, moving, strict=True)), dict(zip(VARIATIONS, readout.pose[:, :3].copy(), strict=True)), goal[0], bends
+    return (
+        dict(zip(VARIATIONS, moving, strict=True)),
+        dict(zip(VARIATIONS, readout.pose[:, :3].copy(), strict=True)),
+        goal[0],
+        bends,
+    )
 
 
 def distance(tips, one, other="nominal"):

@@ -1,0 +1,80 @@
+"""What a settling engine is given and gives back, and the numbers it works by."""
+
+import dataclasses
+import math
+from typing import Annotated, Literal
+
+import numpy as np
+
+from qjrl.config import Range
+from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+
+
+@dataclasses.dataclass(frozen=True)
+class SettleConfig:
+    """How to settle (group `simulation`). None of it moves the settled pose by more than 0.02 mm."""
+
+    backend: Literal["mujoco", "mjx"] = "mujoco"
+    """"mujoco": batches of C MuJoCo on the CPU's cores; "mjx": JAX, for accelerators (float32)."""
+    timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
+    """Time step [s]."""
+    speed_tolerance: Annotated[float, Range(above=0.0, high=0.1)] = 1e-4
+    """At rest: mean |joint velocity| below this [rad/s] at the robot's own damping, see `rest_speed`."""
+    hold_time: Annotated[float, Range(above=0.0, high=10.0)] = 0.05
+    """... for this long [s]."""
+    max_time: Annotated[float, Range(above=0.0, high=600.0)] = 6.0
+    """What does not rest by then is flagged [s of simulated time]."""
+    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 10.0
+    """Joint damping while settling, times the robot's: the equilibrium stays, the oscillation does not."""
+    batch_size: Annotated[int, Range(low=1, high=65536)] = 256
+    """Simulations side by side."""
+    num_threads: Annotated[int, Range(low=0, high=1024)] = 0
+    """Threads of C MuJoCo; 0 = all cores."""
+
+    def __post_init__(self):
+        if self.hold_time >= self.max_time:
+            raise ValueError(f"hold_time: got {self.hold_time}, allowed: less than max_time = {self.max_time}")
+
+    @property
+    def solver(self) -> SolverOptions:
+        """The physics' numerical settings while settling. Armature grows with the damping: the implicit damping weakens
+        the forces of rows as damping * timestep / inertia, and with ten times the one and not the other, stops chatter."""
+        armature_scale = min(max(0.5 * self.damping_scale, 1.0), 10.0)
+        return SolverOptions(self.timestep, damping_scale=self.damping_scale, armature_scale=armature_scale)
+
+    @property
+    def rest_speed(self) -> float:
+        """Mean |joint velocity| that counts as rest [rad/s]: with s times the damping, what is left to move creeps s times slower."""
+        return self.speed_tolerance / max(self.damping_scale, 1.0)
+
+    @property
+    def hold_steps(self) -> int:
+        """Consecutive steps at rest that count as settled."""
+        return math.ceil(self.hold_time / self.timestep)
+
+    @property
+    def max_steps(self) -> int:
+        """Steps after which a simulation is given up."""
+        return math.ceil(self.max_time / self.timestep)
+
+
+@dataclasses.dataclass(frozen=True)
+class SettleProblem:
+    """What a backend needs: where each simulation starts and what its actuators hold."""
+
+    joint_positions: np.ndarray
+    """(n, nq) start [rad, m]."""
+    strand_commands: np.ndarray
+    """(n, strands) rest lengths [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RawSettled:
+    """What a backend reads off at the end, one row a simulation."""
+
+    joint_positions: np.ndarray
+    pose: np.ndarray
+    strand_tension: np.ndarray
+    speed: np.ndarray
+    steps: np.ndarray
+    converged: np.ndarray
