@@ -27,6 +27,12 @@ def evaluate(predict):
     return {"error": float(np.abs(np.asarray(predict(HELD_OUT)) - function(HELD_OUT)).mean())}
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _every_key_is_used_once():
+    with jax.debug_key_reuse(True):
+        yield
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """An uninterrupted fit and its directory."""

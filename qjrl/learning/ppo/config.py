@@ -34,11 +34,11 @@ class PPOConfig:
     """Weight of the critic's loss."""
     max_gradient_norm: Annotated[float, Range(above=0)] = 1.0
     """Largest global gradient norm, of the actor and of the critic each, so that neither drowns the other."""
-    learning_rate: Annotated[float, Range(above=0, high=1)] = 3e-4
+    learning_rate: Annotated[float, Range(above=0, high=1)] = 1e-3
     """Of Adam, at the start."""
     learning_rate_schedule: Literal["constant", "linear", "adaptive_kl"] = "adaptive_kl"
-    """`linear` falls to 0 at the end; `adaptive_kl` follows `target_kl` after every gradient step (rsl_rl's rule)."""
-    target_kl: Annotated[float, Range(above=0)] = 0.01
+    """`linear` falls to 0 at the end; `adaptive_kl` follows `target_kl`, once an update (rsl_rl's rule)."""
+    target_kl: Annotated[float, Range(above=0)] = 0.02
     """Divergence between old and new policy that `adaptive_kl` aims at."""
     min_learning_rate: Annotated[float, Range(above=0, high=1)] = 1e-5
     """Where `adaptive_kl` stops slowing down (rsl_rl)."""

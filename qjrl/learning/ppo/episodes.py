@@ -1,5 +1,6 @@
 """Returns and lengths of the episodes, and means of what the environment measures: for the log alone."""
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping
 
@@ -32,11 +33,12 @@ class EpisodeLog:
             self._add_mean(f"env_end/{name}", values[ended & valid])
 
     def summary(self) -> dict[str, float | None]:
-        """Means since the last call; None where there is nothing to average.
+        """Means since the last call; None where there is nothing finite to average.
 
         `env/NAME` is the mean over all valid steps, `env_end/NAME` over the last steps of episodes.
         """
         means = {name: total / count if count else None for name, (total, count) in self._sums.items()}
+        means = {name: mean if mean is None or math.isfinite(mean) else None for name, mean in means.items()}
         returns, lengths = self._finished_returns, self._finished_lengths
         episodes = {
             "episodes": len(returns),

@@ -53,20 +53,22 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
             gradient, metrics = jax.grad(ppo_loss, has_aux=True)(
                 learner.parameters, normaliser, minibatch, key, networks, config
             )
-            return gradient_step(config, learner, gradient, metrics["kl"]), metrics
+            return gradient_step(config, learner, gradient), metrics
 
         learner, metrics = jax.lax.scan(step, learner, (order, keys))
+        kl = jnp.mean(metrics["kl"][-config.num_minibatches :])  # of the last epoch
         means = {name: jnp.mean(values) for name, values in metrics.items()}
-        return learner, means | batch_metrics | {"kl": metrics["kl"][-1], "learning_rate": learner.learning_rate}
+        means |= batch_metrics | {"kl": kl, "learning_rate": learner.learning_rate}
+        if config.learning_rate_schedule == "adaptive_kl":
+            learner = dataclasses.replace(learner, learning_rate=adapted_rate(config, learner.learning_rate, kl))
+        return learner, means
 
     return jax.jit(update, donate_argnums=0)
 
 
-def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any], kl: jax.Array) -> Learner:
-    """One step of Adam; the rate follows the divergence first where the schedule says so."""
+def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any]) -> Learner:
+    """One step of Adam along the gradients of actor and critic, each clipped by its own global norm."""
     rate = learner.learning_rate
-    if config.learning_rate_schedule == "adaptive_kl":
-        rate = adapted_rate(config, rate, kl)
     clip = optax.clip_by_global_norm(config.max_gradient_norm)
     clipped = {name: clip.update(part, optax.EmptyState())[0] for name, part in gradient.items()}
     direction, optimiser_state = optax.scale_by_adam().update(clipped, learner.optimiser_state)
@@ -75,7 +77,11 @@ def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any],
 
 
 def adapted_rate(config: PPOConfig, rate: jax.Array, kl: jax.Array) -> jax.Array:
-    """Slower where the policy moves twice as far as wanted, faster where half as far. Rule and factor: rsl_rl's."""
+    """Slower where an update moved the policy twice as far as wanted, faster where half as far.
+
+    Rule and factor are rsl_rl's, but once an update, not at every gradient step: the divergence adds up over the
+    steps, so that the rate would run up at the start of every update and down at its end.
+    """
     slower, faster = rate / 1.5, rate * 1.5
     rate = jnp.where(kl > 2 * config.target_kl, slower, jnp.where(kl < config.target_kl / 2, faster, rate))
     return jnp.clip(rate, config.min_learning_rate, config.max_learning_rate)

@@ -30,6 +30,12 @@ def probe():
     return ProbeEnvironment(a_sign, lambda seen, action: seen - np.square(action - 0.5 * seen), 3, truncates=True)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _every_key_is_used_once():
+    with jax.debug_key_reuse(True):
+        yield
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """An uninterrupted training and its directory."""

@@ -107,7 +107,7 @@ def test_the_gradients_of_actor_and_critic_are_clipped_each_by_its_norm():
     """(3, 4) has norm 5 and becomes (0.6, 0.8); (0.3, 0.4) is left alone. Adam's first moment is a tenth of either."""
     zeros = {"policy": jnp.zeros(2, jnp.float32), "value": jnp.zeros(2, jnp.float32)}
     gradient = {"policy": jnp.array([3, 4], jnp.float32), "value": jnp.array([0.3, 0.4], jnp.float32)}
-    learner = gradient_step(CONFIG, make_learner(CONFIG, zeros), gradient, jnp.float32(0.01))
+    learner = gradient_step(CONFIG, make_learner(CONFIG, zeros), gradient)
     assert np.asarray(learner.optimiser_state.mu["policy"]) == pytest.approx([0.06, 0.08])
     assert np.asarray(learner.optimiser_state.mu["value"]) == pytest.approx([0.03, 0.04])
 
@@ -115,6 +115,6 @@ def test_the_gradients_of_actor_and_critic_are_clipped_each_by_its_norm():
 def test_a_first_step_of_adam_is_the_rate_against_the_gradient():
     zeros = {"policy": jnp.zeros(2, jnp.float32)}
     gradient = {"policy": jnp.array([0.5, -0.2], jnp.float32)}
-    learner = gradient_step(CONFIG, make_learner(CONFIG, zeros), gradient, jnp.float32(CONFIG.target_kl))
+    learner = gradient_step(CONFIG, make_learner(CONFIG, zeros), gradient)
     rate = CONFIG.learning_rate
     assert np.asarray(learner.parameters["policy"]) == pytest.approx([-rate, rate], rel=1e-4)
