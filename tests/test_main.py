@@ -163,6 +163,23 @@ def test_a_value_that_is_not_allowed_is_one_line_before_any_work(two_stages, tmp
     assert not list(tmp_path.rglob("dataset"))
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["sample.num_samples=-3"], ["sample.num_samples: got -3", "an integer from 1 to 100000000"]),
+        (["sample.num_sampels=3"], ["sample.num_sampels", "did you mean 'num_samples'"]),
+        (["forward_model.network.width=wide"], ["forward_model.network.width: got 'wide'", "an integer"]),
+        (["simulation.timestep=-0.1"], ["simulation.timestep: got -0.1"]),
+        (["simulation=bullet"], ["simulation", "'bullet'", "mjx, mujoco"]),
+        (["stages=[forward_model]"], ["outputs/default/dataset", "run stages=[sample,forward_model]"]),
+    ],
+    ids=" ".join,
+)
+def test_a_mistake_about_a_stage_is_one_line_too(qjrl, tmp_path, arguments, words) -> None:
+    assert_one_line(qjrl(*arguments), *words)
+    assert not list(tmp_path.rglob("*.npz"))
+
+
 def test_a_run_says_where_it_is_and_the_same_command_again_skips_it(two_stages, tmp_path) -> None:
     first = two_stages("name=mine")
     assert first.code == 0, first.err
