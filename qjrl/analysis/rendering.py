@@ -6,6 +6,7 @@ MUJOCO_GL must have been set before mujoco was first imported; the command does 
 import importlib
 import io
 import logging
+import sys
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ def render_arm(
     Returns:
         (height, width, 3) uint8.
     """
+    if _needs_a_screen():
+        log.info("no rendering by MuJoCo: its OpenGL needs a screen; set MUJOCO_GL to egl or osmesa")
+        return None
     try:
         return _render(robot, np.asarray(joint_positions, np.float64), width, height, azimuth)
     except Exception as error:  # drivers fail in ways of their own, and a picture is never worth a run
@@ -59,6 +63,12 @@ def _render(robot: Robot, joint_positions: np.ndarray, width: int, height: int, 
         return renderer.render().copy()
     finally:
         renderer.close()
+
+
+def _needs_a_screen() -> bool:
+    """GLFW, which mujoco takes on Linux if not told otherwise: without a screen, a second try aborts the process."""
+    context = getattr(_mujoco(), "GLContext", None)
+    return sys.platform == "linux" and getattr(context, "__module__", None) == "mujoco.glfw"
 
 
 def _posed(model, joint_positions: np.ndarray):

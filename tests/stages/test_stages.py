@@ -1,0 +1,197 @@
+"""All default stages on the two-segment arm at the smallest size, then again, then with one value changed."""
+
+import dataclasses
+import logging
+import shutil
+
+import numpy as np
+import pytest
+
+from qjrl import artifacts, pipeline
+from qjrl.artifacts import ArtifactError
+from qjrl.config import as_mapping, conf_folder, read_yaml
+from qjrl.control.episode import EnvironmentConfig
+from qjrl.control.inversion import IKConfig
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.fitting import FitConfig
+from qjrl.learning.networks import NetworkConfig
+from qjrl.learning.ppo.config import PPOConfig
+from qjrl.pipeline import STAGES
+from qjrl.robot import load_robot, robot_hash
+from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
+from qjrl.simulation import SettleConfig
+from qjrl.simulation.sampling import SampleConfig
+from qjrl.solvers import AdamConfig
+
+DEFAULT = [name for name, stage in STAGES.items() if stage.default]
+CONTROLLERS = {"nominal", "learned_ik", "learned_ik+residual"}
+CONFIGS = {
+    "simulation": SettleConfig(batch_size=32),
+    "sample": SampleConfig(num_samples=40, shard_size=16),
+    "forward_model": ForwardModelConfig(
+        "corrected", NetworkConfig(16, 1, 1, zero_output=True), FitConfig(epochs=4, batch_size=16, evaluate_every=2)
+    ),
+    "ik": IKConfig(
+        AdamConfig(iterations=30, num_restarts=2, num_candidates=128, num_retries=0, batch_size=8),
+        num_held_out=4,
+        num_bank=6,
+    ),
+    "policy": PolicyConfig(
+        num_envs=8,
+        num_judged=1,
+        environment=EnvironmentConfig(episode_steps=150, latest_arrival=2.8, scored_time=0.1),
+        ppo=PPOConfig(num_steps=64, unroll_length=4, num_epochs=1, num_minibatches=2, checkpoint_every=1),
+    ),
+}
+
+
+def tree(**changes):
+    """The resolved configuration, as the command would compose it."""
+    parts = {name: as_mapping(changes.get(name, config)) for name, config in CONFIGS.items()}
+    robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
+    return {"name": "tiny", "seed": 0, "stages": DEFAULT, "robot": robot, **parts}
+
+
+def run(run_dir, stages=None, **changes):
+    wanted = tree(**changes) | ({"stages": stages} if stages else {})
+    pipeline.run(pipeline.selected(wanted), pipeline.build_configs(wanted), run_dir)
+
+
+def stages_run(caplog):
+    """Which stages ran and which were skipped, from the log."""
+    lines = [record.getMessage() for record in caplog.records if record.name == "qjrl.pipeline"]
+    skipped = {line.split(":")[0] for line in lines if "skipped" in line}
+    return [line.split(":")[0] for line in lines if "starts" in line], skipped
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _default_stages_alone():
+    """Stages on demand need keys of their own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "STAGES", {name: STAGES[name] for name in DEFAULT})
+        yield
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    run_dir = tmp_path_factory.mktemp("run")
+    run(run_dir)
+    return run_dir
+
+
+@pytest.fixture
+def run_dir(finished, tmp_path):
+    """A copy of the finished run, to be changed."""
+    return shutil.copytree(finished, tmp_path / "copy")
+
+
+def test_every_stage_writes_what_it_promises(finished):
+    expected = {
+        "dataset": ["manifest.json", "shard-00000.npz", "shard-00002.npz"],
+        "forward_model": ["model.npz", "model.json", "metrics.json", "progress.jsonl", "checkpoints"],
+        "ik": ["held_out.npz", "bank.npz", "metrics.json"],
+        "policy": ["policy.npz", "policy.json", "metrics.json", "progress.jsonl", "checkpoints"],
+        "compare": ["outcomes.npz", "metrics.json", "report.html"],
+    }
+    assert {STAGES[name].writes for name in DEFAULT} == expected.keys()
+    for directory, names in expected.items():
+        for name in [*names, "done.json", "provenance.json"]:
+            assert (finished / directory / name).exists(), f"{directory}/{name}"
+        assert artifacts.load(finished / directory / "provenance.json")["seed"] == 0
+    assert not [path for path in finished.rglob("*") if path.suffix in (".pkl", ".pickle", ".tmp")]
+
+
+def test_the_dataset_and_the_model_belong_to_the_robot(finished):
+    robot = load_robot("qj_22")
+    data = artifacts.load(finished / "dataset", robot_hash(robot))
+    assert len(data["seed"]) == 40 and data["converged"].mean() > 0.9
+    metrics = artifacts.load(finished / "forward_model" / "metrics.json")
+    assert metrics["rows"]["fitted"] + metrics["rows"]["held_out"] == data["converged"].sum()
+    assert load_forward_model(finished / "forward_model" / "model", robot).config == CONFIGS["forward_model"]
+
+
+def test_answers_are_settled_and_both_errors_are_reported(finished):
+    answers = artifacts.load(finished / "ik" / "held_out.npz")
+    assert answers["target_set"].tolist() == [0] * 4 + [1] * 4
+    for controller in ("nominal", "learned"):
+        found = np.linalg.norm(answers[f"{controller}_pose"][:, :3] - answers["target"][:, :3], axis=1)
+        settled = answers[f"{controller}_settled"]
+        np.testing.assert_allclose(answers[f"{controller}_position_error"][settled], found[settled], atol=1e-12)
+    metrics = artifacts.load(finished / "ik" / "metrics.json")
+    assert metrics["real"].keys() == metrics["predicted"].keys() == set(TARGET_SETS)
+    bank = artifacts.load(finished / "ik" / "bank.npz")
+    assert len(bank["target"]) == 12
+    distances = np.linalg.norm(bank["target"][:, None] - answers["target"][None], axis=2)
+    assert distances.min() > 0  # nothing the policy trains on is held out
+
+
+def test_the_policys_metrics_say_what_was_trained(finished):
+    metrics = artifacts.load(finished / "policy" / "metrics.json")
+    assert metrics["env_steps"] == 64 and metrics["invalid_steps"] == 0
+    assert metrics["bare_steps_per_second"] > 0 and set(metrics["num_left_out"]) == set(TARGET_SETS)
+
+
+def test_every_controller_is_compared_on_both_sets(finished):
+    metrics = artifacts.load(finished / "compare" / "metrics.json")
+    assert metrics["controllers"].keys() == set(TARGET_SETS)
+    for controllers in metrics["controllers"].values():
+        assert controllers.keys() == CONTROLLERS
+    assert metrics["headline"] in (finished / "compare" / "report.html").read_text()
+    outcomes = artifacts.load(finished / "compare" / "outcomes.npz")
+    for target_set in TARGET_SETS:
+        sizes = {len(outcomes[f"{target_set}/{controller}/position_error"]) for controller in CONTROLLERS}
+        assert len(sizes) == 1 and sizes.pop() <= 4
+
+
+def test_a_second_run_skips_everything(finished, caplog):
+    before = {path: path.stat().st_mtime_ns for path in finished.rglob("*") if path.is_file() and path.name != ".lock"}
+    with caplog.at_level(logging.INFO):
+        run(finished)
+    assert stages_run(caplog) == ([], set(DEFAULT))
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_another_name_of_the_run_only_writes_the_report_again(run_dir, caplog):
+    changed = tree() | {"name": "other"}
+    with caplog.at_level(logging.INFO):
+        pipeline.run(pipeline.selected(changed), pipeline.build_configs(changed), run_dir)
+    assert stages_run(caplog) == (["compare"], {"sample", "forward_model", "ik", "policy"})
+    assert "run other" in (run_dir / "compare" / "report.html").read_text()
+
+
+def test_a_changed_solver_runs_again_what_depends_on_it_alone(run_dir, caplog):
+    solver = dataclasses.replace(CONFIGS["ik"].solver, control_penalty=0.5)
+    with caplog.at_level(logging.INFO):
+        run(run_dir, ["sample", "forward_model", "ik"], ik=dataclasses.replace(CONFIGS["ik"], solver=solver))
+    assert stages_run(caplog) == (["ik"], {"sample", "forward_model"})
+    old, new = (artifacts.load(run_dir / name / "held_out.npz") for name in ("ik.previous", "ik"))
+    np.testing.assert_array_equal(old["target"], new["target"])
+    assert not np.array_equal(old["learned_lengths"], new["learned_lengths"])
+
+
+def test_an_interrupted_sampling_goes_on_and_equals_the_uninterrupted_one(finished, tmp_path, monkeypatch, caplog):
+    from qjrl.simulation import sampling
+
+    real = sampling.append_shard
+
+    def append_and_stop(*arguments, **about):
+        real(*arguments, **about)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(sampling, "append_shard", append_and_stop)
+        run(tmp_path, ["sample"])
+    with caplog.at_level(logging.INFO):
+        run(tmp_path, ["sample"])
+    assert "sample: was interrupted, goes on" in caplog.text
+    one, other = artifacts.load(tmp_path / "dataset"), artifacts.load(finished / "dataset")
+    for name in other:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    assert artifacts.done_marker(tmp_path / "dataset")["output_hash"] == artifacts.done_marker(finished / "dataset")["output_hash"]
+
+
+def test_a_dataset_of_another_robot_is_refused_in_one_line(run_dir):
+    other = tree() | {"robot": read_yaml(conf_folder() / "robot" / "qj_2222.yaml"), "stages": ["forward_model"]}
+    with pytest.raises(ArtifactError, match="belongs to another robot; run stages="):
+        pipeline.run(pipeline.selected(other), pipeline.build_configs(other), run_dir)
