@@ -1,7 +1,9 @@
 """Inverse kinematics by gradient descent with Adam and random restarts (paper 000, section 4)."""
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import jax
@@ -67,29 +69,21 @@ def solve_adam(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations.
     """
-    checked = check_targets(targets)
-    model = model or pose_function(robot, None)
-    candidates = _candidates(robot, model, config, jax.random.key(seed))
-    solve = jax.jit(
-        jax.vmap(lambda target, attempt: _solve_one(robot, model, config, target, candidates, attempt), (0, None))
-    )
-    tolerances = (config.position_tolerance, config.orientation_tolerance)
-    judge = jax.jit(
-        lambda targets, lengths, steps: describe_solution(robot, model, targets, lengths, tolerances, steps)
-    )
+    checked, compiled = check_targets(targets), _compile(model, config)
+    candidates = compiled.candidates(robot, jax.random.key(seed))
 
     lengths, steps = np.zeros((len(checked), robot.num_cables)), np.zeros(len(checked), int)
-    result = judge(checked, lengths, steps)
+    result = compiled.judge(robot, checked, lengths, steps)
     for attempt in range(config.num_retries + 1):
         pending = np.flatnonzero(~np.asarray(result.converged))
         for start in range(0, len(pending), config.batch_size):
             rows = pending[start : start + config.batch_size]
             padded = np.resize(rows, config.batch_size)  # repeats rows: one compilation whatever their number
-            lengths[rows] = np.asarray(solve(checked[padded], attempt))[: len(rows)]
+            lengths[rows] = np.asarray(compiled.solve(robot, checked[padded], candidates, attempt))[: len(rows)]
             steps[rows] += config.iterations * config.num_restarts
             if advance and attempt == 0:
                 advance(len(rows))
-        result = _better(config, result, judge(checked, lengths, steps))
+        result = _better(config, result, compiled.judge(robot, checked, lengths, steps))
         lengths = np.array(result.cable_lengths)
     return result
 
@@ -115,12 +109,37 @@ class _Candidates:
     poses: jax.Array
 
 
+@dataclasses.dataclass(frozen=True)
+class _Compiled:
+    """The compiled functions of a solve; the robot is an argument of each."""
+
+    candidates: Callable[..., _Candidates]
+    solve: Callable[..., jax.Array]
+    judge: Callable[..., SolveResult]
+
+
+@functools.lru_cache(maxsize=4)
+def _compile(model: PoseFunction | None, config: AdamConfig) -> _Compiled:
+    """Once for all target sets that are solved on the same model."""
+    tolerances = (config.position_tolerance, config.orientation_tolerance)
+
+    def candidates(robot: Robot, key: jax.Array) -> _Candidates:
+        return _candidates(robot, model or pose_function(robot, None), config, key)
+
+    def solve(robot: Robot, target: jax.Array, candidates: _Candidates, attempt: jax.Array) -> jax.Array:
+        return _solve_one(robot, model or pose_function(robot, None), config, target, candidates, attempt)
+
+    def judge(robot: Robot, targets: jax.Array, lengths: jax.Array, steps: jax.Array) -> SolveResult:
+        return describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
+
+    return _Compiled(jax.jit(candidates), jax.jit(jax.vmap(solve, (None, 0, None, None))), jax.jit(judge))
+
+
 def _candidates(robot: Robot, model: PoseFunction, config: AdamConfig, key: jax.Array) -> _Candidates:
-    numbers = jax.random.uniform(
-        key, (max(config.num_candidates, config.num_restarts * (config.num_retries + 1)), robot.num_cables)
-    )
-    lengths = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))(numbers)
-    return _Candidates(lengths, jax.jit(jax.vmap(model))(lengths))
+    count = max(config.num_candidates, config.num_restarts * (config.num_retries + 1))
+    numbers = jax.random.uniform(key, (count, robot.num_cables))
+    lengths = jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row)))(numbers)
+    return _Candidates(lengths, jax.vmap(model)(lengths))
 
 
 def _solve_one(
