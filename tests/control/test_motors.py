@@ -65,7 +65,9 @@ def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
 
 def test_a_residual_at_rest_stays_exactly_where_it_is():
     residual = jnp.array([0.003, -0.007, 0.01])
-    np.testing.assert_array_equal(motors.move_residual(motors.ResidualConfig(), residual, jnp.zeros(3), PERIOD), residual)
+    np.testing.assert_array_equal(
+        motors.move_residual(motors.ResidualConfig(), residual, jnp.zeros(3), PERIOD), residual
+    )
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -122,6 +122,6 @@ def test_a_finished_training_is_only_read_again(trained):
 
 def test_a_bank_that_is_too_small_is_one_line(tmp_path):
     config = dataclasses.replace(POLICY, num_judged=3)
-    with pytest.raises(ConfigError, match="policy.num_judged: got 3, allowed: fewer than the 3 uniform targets"):
+    with pytest.raises(ConfigError, match=r"^policy\.num_judged: got 3, allowed: fewer than the 3 uniform targets"):
         train_policy(ARM, SettleConfig(), config, columns(), 0, tmp_path)
     assert not any(tmp_path.iterdir())

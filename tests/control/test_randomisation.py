@@ -15,7 +15,10 @@ COUNT = 4000
 @pytest.fixture(scope="module")
 def drawn():
     keys = jax.random.split(jax.random.key(0), COUNT)
-    return {name: np.asarray(value) for name, value in jax.jit(jax.vmap(lambda key: draw_parameters(CONFIG, key)))(keys).items()}
+    return {
+        name: np.asarray(value)
+        for name, value in jax.jit(jax.vmap(lambda key: draw_parameters(CONFIG, key)))(keys).items()
+    }
 
 
 def test_all_physical_parameters_are_drawn_and_no_other(drawn):
@@ -69,5 +72,7 @@ def test_no_key_is_used_twice():
 
 @pytest.mark.parametrize("interval", [[1.25, 0.8], [0.0, 1.0]])
 def test_a_range_that_is_none_is_one_line(interval):
-    with pytest.raises(ConfigError, match=r"^randomisation.gain_scale: got .*allowed: \[low, high\] with 0 < low <= high"):
+    with pytest.raises(
+        ConfigError, match=r"^randomisation.gain_scale: got .*allowed: \[low, high\] with 0 < low <= high"
+    ):
         build(RandomisationConfig, {"gain_scale": interval}, "randomisation")

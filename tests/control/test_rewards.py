@@ -11,7 +11,9 @@ CONFIG = RewardConfig(
 
 
 def reward_of(position, orientation, action=(0.0, 0.0), has_arrived=True):
-    return float(reward(CONFIG, jnp.asarray(position), jnp.asarray(orientation), jnp.array(action), jnp.asarray(has_arrived)))
+    return float(
+        reward(CONFIG, jnp.asarray(position), jnp.asarray(orientation), jnp.array(action), jnp.asarray(has_arrived))
+    )
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,9 @@ CONFIG = EnvironmentConfig(episode_steps=24, latest_arrival=0.4, scored_time=0.0
 def bank(count=8, seed=0, share=0.15):
     """Targets near enough for short episodes, with the closed form's commands."""
     bends = random_bends(ARM, count, seed, share)
-    return Bank(jnp.asarray(over_rows(forward_kinematics, ARM, bends)), jnp.asarray(over_rows(cable_lengths, ARM, bends)))
+    return Bank(
+        jnp.asarray(over_rows(forward_kinematics, ARM, bends)), jnp.asarray(over_rows(cable_lengths, ARM, bends))
+    )
 
 
 def environment(seed=0, rows=None, num_envs=NUM_ENVS, config=CONFIG, targets=None):

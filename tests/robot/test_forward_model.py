@@ -52,9 +52,18 @@ def poses_of(model, lengths):
     return np.asarray(jax.jit(jax.vmap(pose_function(ARM, model)))(jnp.asarray(lengths)))
 
 
+def rows_with_some_unsettled():
+    """Rows 5 to 8 never came to rest, and hold nothing of use."""
+    data = {name: column.copy() for name, column in settled_rows().items()}
+    data["converged"][5:9] = False
+    data["pose"][5:9] = np.nan
+    data["bends"][5:9] = np.nan
+    return data
+
+
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory):
-    return fit_forward_model(ARM, CORRECTED, settled_rows(), 0, tmp_path_factory.mktemp("fit"))
+    return fit_forward_model(ARM, CORRECTED, rows_with_some_unsettled(), 0, tmp_path_factory.mktemp("fit"))
 
 
 def test_the_untrained_corrected_model_is_exactly_the_nominal_closed_form():
@@ -102,7 +111,8 @@ def test_a_fit_on_a_few_rows_improves_on_the_nominal_closed_form(fitted):
 
 def test_the_metrics_are_the_returned_models_errors_on_the_held_out_rows(fitted):
     model, metrics = fitted
-    data = settled()
+    data = rows_with_some_unsettled()
+    data = {name: column[data["converged"]] for name, column in data.items()}
     _, held_out = split_rows(len(data["seed"]), CORRECTED.held_out, 0)
     again = pose_errors(poses_of(model, data["cable_lengths"][held_out]), data["pose"][held_out])
     assert again.keys() <= metrics["held_out"].keys()
@@ -112,15 +122,10 @@ def test_the_metrics_are_the_returned_models_errors_on_the_held_out_rows(fitted)
     assert nominal == pytest.approx(metrics["nominal"])
 
 
-def test_rows_that_never_settled_are_in_no_fit(fitted, tmp_path):
-    data = {name: column.copy() for name, column in settled_rows().items()}
-    data["converged"][5:9] = False
-    data["pose"][5:9] = np.nan
-    data["bends"][5:9] = np.nan
-    short = dataclasses.replace(CORRECTED, fit=dataclasses.replace(CORRECTED.fit, epochs=1))
-    model, metrics = fit_forward_model(ARM, short, data, 0, tmp_path)
-    assert metrics["rows"]["unsettled"] == fitted[1]["rows"]["unsettled"] + 4
-    assert np.isfinite(metrics["held_out"]["median_mm"]) and np.isfinite(poses_of(model, data["cable_lengths"])).all()
+def test_rows_that_never_settled_are_in_no_fit(fitted):
+    model, metrics = fitted
+    assert metrics["rows"]["unsettled"] == int(np.sum(~rows_with_some_unsettled()["converged"]))
+    assert np.isfinite(metrics["held_out"]["p99_mm"]) and np.isfinite(poses_of(model, settled()["cable_lengths"])).all()
 
 
 def test_errors_are_in_millimetres_and_degrees_by_hand():
@@ -186,5 +191,5 @@ def test_an_unknown_form_is_one_line():
 
 
 def test_a_model_has_gradients_at_home(fitted):
-    jacobian = jax.jacobian(pose_function(ARM, fitted[0]))(jnp.zeros(ARM.num_cables))
+    jacobian = jax.jit(jax.jacobian(pose_function(ARM, fitted[0])))(jnp.zeros(ARM.num_cables))
     assert np.isfinite(jacobian).all() and np.abs(jacobian).max() > 0.1

@@ -160,6 +160,7 @@ def test_another_name_of_the_run_only_writes_the_report_again(run_dir, caplog):
     assert "run other" in (run_dir / "compare" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_changed_solver_runs_again_what_depends_on_it_alone(run_dir, caplog):
     solver = dataclasses.replace(CONFIGS["ik"].solver, control_penalty=0.5)
     with caplog.at_level(logging.INFO):
