@@ -1,0 +1,127 @@
+"""What an arm is and does: its counts, strokes and reach, and how it rests over its workspace."""
+
+import dataclasses
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qjrl.config import Range
+from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, strand_lengths
+from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.sampling import sample_rows
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import SLACK_TENSION
+
+# Poses of the closed form for reach and strand stretch; cheap, so many.
+_NUM_KINEMATIC = 20_000
+# A loop whose mean strand length grows by more when bent [m] loads its strands by more than the pretension usually is.
+_MUCH_STRETCH = 0.002
+
+
+@dataclasses.dataclass(frozen=True)
+class DescribeConfig:
+    """Group `describe`."""
+
+    num_poses: Annotated[int, Range(8, 1_000_000)] = 256
+    """Low-discrepancy poses settled in the physics."""
+
+
+def survey_kinematics(robot: Robot) -> dict[str, Any]:
+    """Counts, lengths [m], strokes [m], travel times [s] and what the strands' common part does; closed form."""
+    poses, bends = _many_poses(robot)
+    home = forward_kinematics(robot, jnp.zeros((robot.num_segments, 2)))
+    strokes = np.asarray(cable_strokes(robot))
+    common = _common_parts(robot, bends)
+    distance_home = np.linalg.norm(poses[:, :3] - np.asarray(home)[:3], axis=1)
+    return {
+        "name": robot.name,
+        "joint_model": robot.joint_model,
+        "segments": list(robot.joints_per_segment),
+        "degrees_of_freedom": 2 * robot.num_segments,
+        "joints": robot.num_joints,
+        "cables_and_motors": robot.num_cables,
+        "strands": robot.num_strands,
+        "length": float(home[2]),
+        "bend_limit_deg": float(np.degrees(robot.bend_limit)),
+        "cable_strokes": strokes.tolist(),
+        "travel_times": (strokes / float(robot.motor_speed)).tolist(),
+        "largest_reach": float(np.linalg.norm(poses[:, :3], axis=1).max()),
+        "largest_distance_from_home": float(distance_home.max()),
+        "median_distance_from_home": float(np.median(distance_home)),
+        "strand_common_part": [float(common.min()), float(common.max())],
+    }
+
+
+def survey_physics(
+    robot: Robot, simulation: SettleConfig, config: DescribeConfig, seed: int, advance=None
+) -> dict[str, Any]:
+    """Tension [N], slack, motor force [N], sag [m, rad] and what does not settle, over settled poses."""
+    rows = sample_rows(robot, simulation, seed, 0, config.num_poses, advance)
+    settled = rows["converged"]
+    if not settled.any():
+        return {"settled_share": 0.0}
+    tension = rows["strand_tension"][settled]
+    nominal = jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row)))(
+        jnp.asarray(rows["cable_lengths"][settled])
+    )
+    position = np.asarray(jax.vmap(position_error)(nominal, jnp.asarray(rows["pose"][settled])))
+    orientation = np.asarray(jax.vmap(orientation_error)(nominal, jnp.asarray(rows["pose"][settled])))
+    force = np.abs(tension[:, 0::2] - tension[:, 1::2])
+    bends = rows["bends"][settled]
+    return {
+        "settled_share": float(settled.mean()),
+        "tension": [float(tension.min()), float(np.median(tension)), float(tension.max())],
+        "slack_share": float((tension < SLACK_TENSION).mean()),
+        "largest_motor_force": float(force.max()),
+        "off_nominal": [float(np.median(position)), float(np.percentile(position, 90)), float(position.max())],
+        "off_nominal_angle": [float(np.median(orientation)), float(orientation.max())],
+        "largest_bend_deg": float(np.degrees(2.0 * np.arcsin(np.linalg.norm(bends, axis=-1).max()))),
+    }
+
+
+def warnings_about(robot: Robot, kinematics: dict[str, Any], physics: dict[str, Any]) -> list[str]:
+    """What a builder of this arm should know, one line each."""
+    config, lines = robot.config, []
+    if physics["settled_share"] < 1.0:
+        lines.append(
+            f"{100 * (1 - physics['settled_share']):.1f} % of the poses never settle: more joint damping or stiffness"
+        )
+    if physics["settled_share"] == 0.0:
+        return lines
+    if physics["slack_share"] > 0.0:
+        lines.append(f"{100 * physics['slack_share']:.1f} % of the strands are slack: more pretension, or a tensioner")
+    if physics["tension"][2] > config.strands.strength:
+        lines.append(
+            f"strand tension reaches {physics['tension'][2]:.0f} N, above its strength {config.strands.strength:.0f} N"
+        )
+    if physics["largest_motor_force"] > config.motors.force:
+        lines.append(
+            f"a motor would hold {physics['largest_motor_force']:.0f} N, above its {config.motors.force:.0f} N"
+        )
+    if physics["largest_bend_deg"] > config.joint.bend_limit_deg + 0.5 * config.joint.stop_margin_deg:
+        lines.append(f"joints bend to {physics['largest_bend_deg']:.1f} deg under load: near the stop")
+    stretch = kinematics["strand_common_part"][1]
+    if stretch > _MUCH_STRETCH:
+        lines.append(
+            f"loops stretch by {1e3 * stretch:.1f} mm when bent: this joint's k and d do not suit one motor a loop"
+        )
+    return lines
+
+
+def _many_poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Closed-form poses (n, 9) and bends (n, segments, 2) all over the feasible discs."""
+    numbers = jax.random.uniform(jax.random.key(0), (_NUM_KINEMATIC, 2 * robot.num_segments))
+    bends = jax.vmap(lambda row: bends_from_unit_cube(robot, row))(numbers)
+    return np.asarray(jax.jit(jax.vmap(lambda row: forward_kinematics(robot, row)))(bends)), np.asarray(bends)
+
+
+def _common_parts(robot: Robot, bends: np.ndarray) -> np.ndarray:
+    """Half the sum of each loop's two strands relative to home (n, cables) [m]: what a motor cannot give."""
+    lengths = jax.jit(jax.vmap(lambda row: strand_lengths(robot, row)))(jnp.asarray(bends))
+    home = strand_lengths(robot, jnp.zeros((robot.num_segments, 2)))
+    change = np.asarray(lengths - home)
+    return (change[:, 0::2] + change[:, 1::2]) / 2.0
