@@ -1,6 +1,7 @@
 import dataclasses
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from worlds import (
@@ -74,7 +75,7 @@ def test_the_untrained_policy_gives_exactly_the_base_controllers_commands(judged
 def test_the_base_controllers_commands_are_the_ramp(judged):
     commands, _ = commands_of_an_episode(judged, lambda seen: np.zeros((len(seen), ARM.num_cables)))
     for arm, base in enumerate(np.asarray(bank().base_lengths)[:NUM_ENVS]):
-        expected = [motors.ramped_base(ARM, base, step * PERIOD) for step in range(1, len(commands) + 1)]
+        expected = [motors.ramped_base(ARM, base, jnp.asarray(step * PERIOD)) for step in range(1, len(commands) + 1)]
         np.testing.assert_allclose(commands[:, arm], expected, atol=1e-15)
         np.testing.assert_array_equal(commands[-1, arm], base)  # arrived
 
@@ -136,8 +137,7 @@ def test_only_arms_whose_episode_ended_start_anew(env):
 def test_the_actors_memory_of_its_actions_is_newest_first(judged):
     judged.reset()
     actions = random_actions(5)
-    for action in actions:
-        transition = judged.step(action)
+    transition = [judged.step(action) for action in actions][-1]
     sizes = ARM.num_cables  # base bends, reading, memory (3), pose error come first
     start = 2 * ARM.num_segments * (1 + 1 + 3) + 9
     seen = transition.observation[ACTOR_KEY][:, start : start + ACTION_HISTORY * sizes]

@@ -54,7 +54,8 @@ def test_the_residual_by_hand_numbers():
 def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
     config = motors.ResidualConfig()
     actions = np.random.default_rng(0).normal(2.0, 5.0, (200, 8))
-    residual, move = jnp.zeros(8), jax.jit(lambda *state: motors.move_residual(config, *state, PERIOD))
+    residual = jnp.zeros(8)
+    move = jax.jit(lambda residual, action: motors.move_residual(config, residual, action, PERIOD))
     for action in actions:
         moved = move(residual, action)
         assert np.abs(moved - residual).max() <= config.rate * PERIOD * (1 + 1e-12)

@@ -1,3 +1,5 @@
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,7 +28,7 @@ def begin(stepper, arm, parameters=None, ids=None):
     stepper.reset(ids, np.asarray(joint_positions(arm, home)), commands_of(arm, home[None])[0], parameters)
 
 
-def snapshot(stepper, ids=slice(None)):
+def snapshot(stepper, ids: Any = slice(None)):
     readout = stepper.read()
     return {name: np.array(getattr(readout, name))[ids] for name in STATE}
 

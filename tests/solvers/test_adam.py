@@ -115,8 +115,14 @@ def test_the_same_seed_gives_the_same_answers_and_progress_counts_every_target_o
     [
         (lambda targets: targets[0], r"targets: got shape \(9,\), allowed: \(n, 9\)"),
         (lambda targets: targets[:, :6], r"targets: got shape \(4, 6\)"),
-        (lambda targets: np.where(np.arange(4)[:, None] == 2, np.nan, targets), "targets: got non-finite values in row 2"),
-        (lambda targets: np.where(np.arange(4)[:, None] == 1, np.inf, targets), "targets: got non-finite values in row 1"),
+        (
+            lambda targets: np.where(np.arange(4)[:, None] == 2, np.nan, targets),
+            "targets: got non-finite values in row 2",
+        ),
+        (
+            lambda targets: np.where(np.arange(4)[:, None] == 1, np.inf, targets),
+            "targets: got non-finite values in row 1",
+        ),
         (lambda targets: targets * np.where(np.arange(9) == 3, 1.1, 1.0), "row 0 is no rotation"),
         (lambda targets: np.concatenate([targets[:, :6], targets[:, 3:6]], axis=1), "row 0 is no rotation"),
     ],

@@ -189,7 +189,8 @@ def test_an_interrupted_sampling_goes_on_and_equals_the_uninterrupted_one(finish
     one, other = artifacts.load(tmp_path / "dataset"), artifacts.load(finished / "dataset")
     for name in other:
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
-    assert artifacts.done_marker(tmp_path / "dataset")["output_hash"] == artifacts.done_marker(finished / "dataset")["output_hash"]
+    hashes = [artifacts.load(path / "dataset" / artifacts.DONE)["output_hash"] for path in (tmp_path, finished)]
+    assert hashes[0] == hashes[1]
 
 
 def test_a_dataset_of_another_robot_is_refused_in_one_line(run_dir):
