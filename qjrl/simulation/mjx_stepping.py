@@ -1,0 +1,227 @@
+"""Step many arms in time with MJX, in float32, for accelerators: the same contract as `MujocoStepper`."""
+
+import copy
+import dataclasses
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from qjrl.progress import compiling
+from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.mjx_model import load_arm, mjx, single_precision
+from qjrl.simulation.stepping import PhysicalParameters, Readout, _tilted
+
+# MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
+LEAST_FRICTION = 1e-4
+# As MuJoCo's mjMAXVAL: beyond it a simulation counts as diverged [rad/s, rad].
+LARGEST_VALUE = 1e10
+
+
+# An array of numpy's on the host, of JAX's inside compiled code.
+_Rows = Any
+
+
+@struct.dataclass
+class _State:
+    """What the next step depends on, one row a simulation; float32."""
+
+    joint_positions: _Rows
+    joint_velocities: _Rows
+    strand_commands: _Rows
+    warm_start: _Rows
+    """Accelerations from which the constraint solver starts."""
+
+
+@struct.dataclass
+class _Physics:
+    """What differs between the simulations' models, one row a simulation; float32."""
+
+    strand_damping_scale: _Rows
+    strand_friction: _Rows
+    armature_scale: _Rows
+    gain_scale: _Rows
+    gravity: _Rows
+    joint_inverse_inertia: _Rows
+    """`dof_invweight0`: follows the armature, and with it how hard the equality rows are."""
+    tendon_inverse_inertia: _Rows
+    """`tendon_invweight0`: likewise for the height, stop and friction rows."""
+    mean_inertia: _Rows
+    """Scale of the solver's tolerance."""
+
+
+@struct.dataclass
+class _Measured:
+    """What the simulations show at a state, one row a simulation; float32."""
+
+    tendon_lengths: _Rows
+    tendon_velocities: _Rows
+    actuator_force: _Rows
+    pose: _Rows
+
+
+class MjxStepper:
+    """`num_sims` simulations of one robot on JAX's default device; states lie on the host between calls."""
+
+    def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004):
+        self.num_sims, self.timestep, self.num_strands = num_sims, timestep, robot.num_strands
+        self._arm = load_arm(robot, SolverOptions(timestep=timestep), strand_friction=1.0)
+        host = self._arm.host
+        zeros = lambda width: np.zeros((num_sims, width), np.float32)  # noqa: E731
+        self._state = _State(zeros(host.nq), zeros(host.nv), zeros(host.nu), zeros(host.nv))
+        self._measured: _Measured | None = None
+        self._has_failed = np.zeros(num_sims, bool)
+        self._parameters = PhysicalParameters.nominal(robot, num_sims)
+        self._physics = _Physics(
+            *(np.ones(num_sims, np.float32) for _ in range(4)),
+            gravity=zeros(3),
+            joint_inverse_inertia=zeros(host.nv),
+            tendon_inverse_inertia=zeros(host.ntendon),
+            mean_inertia=np.ones(num_sims, np.float32),
+        )
+        self._set_parameters(np.arange(num_sims))
+        self._advance = self._compile()
+
+    def reset(
+        self, ids: np.ndarray, joint_positions: np.ndarray, strand_commands: np.ndarray, parameters: PhysicalParameters
+    ) -> None:
+        """Put simulations `ids` at rest at joint positions (len(ids), nq), holding commands, with new parameters."""
+        for field in dataclasses.fields(PhysicalParameters):
+            getattr(self._parameters, field.name)[ids] = getattr(parameters, field.name)
+        self._set_parameters(ids)
+        state = self._state
+        state.joint_positions[ids], state.joint_velocities[ids] = joint_positions, 0.0
+        state.strand_commands[ids], state.warm_start[ids] = strand_commands, 0.0
+        self._has_failed[ids] = False
+        self._measured = None
+
+    def step(self, strand_commands: np.ndarray, num_steps: int) -> None:
+        """Hold rest lengths (n, strands) [m] for `num_steps` time steps; a simulation that diverges stays where it was."""
+        before = dataclasses.replace(self._state, strand_commands=np.array(strand_commands, np.float32))
+        after, measured = self._run(before, num_steps)
+        is_sound = _is_sound(after) & ~self._has_failed
+        self._has_failed = ~is_sound
+        self._state = jax.tree.map(lambda new, old: np.where(is_sound[:, None], new, old), after, before)
+        self._measured = measured if is_sound.all() else None
+
+    def read(self) -> Readout:
+        """The state of all simulations now, float64 as from C MuJoCo."""
+        if self._measured is None:
+            self._measured = self._run(self._state, 0)[1]
+        state, measured = jax.tree.map(lambda value: np.asarray(value, np.float64), (self._state, self._measured))
+        strands = slice(0, self.num_strands)
+        return Readout(
+            joint_positions=state.joint_positions,
+            joint_velocities=state.joint_velocities,
+            strand_lengths=measured.tendon_lengths[:, strands],
+            strand_velocities=measured.tendon_velocities[:, strands],
+            strand_tension=0.0 - measured.actuator_force,
+            pose=measured.pose,
+            is_finite=~self._has_failed & np.isfinite(measured.pose).all(axis=1),
+        )
+
+    def get_state(self) -> dict[str, np.ndarray]:
+        """Everything that a bitwise continuation needs."""
+        parts = (self._state, self._parameters)
+        arrays = {field.name: getattr(part, field.name).copy() for part in parts for field in dataclasses.fields(part)}
+        return {"has_failed": self._has_failed.copy(), **arrays}
+
+    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
+        """Go back to what `get_state` returned."""
+        for field in dataclasses.fields(PhysicalParameters):
+            getattr(self._parameters, field.name)[:] = state[field.name]
+        self._set_parameters(np.arange(self.num_sims))
+        self._state = _State(**{field.name: np.array(state[field.name]) for field in dataclasses.fields(_State)})
+        self._has_failed, self._measured = np.array(state["has_failed"]), None
+
+    def _run(self, state: _State, num_steps: int) -> tuple[_State, _Measured]:
+        with single_precision():
+            return self._advance(self._arm.model, self._arm.data, self._physics, state, np.int32(num_steps))
+
+    def _set_parameters(self, ids: np.ndarray) -> None:
+        ours, physics = self._parameters, self._physics
+        physics.strand_damping_scale[ids] = ours.strand_damping_scale[ids]
+        physics.strand_friction[ids] = np.maximum(ours.strand_friction[ids], LEAST_FRICTION)
+        physics.armature_scale[ids] = ours.armature_scale[ids]
+        physics.gain_scale[ids] = ours.gain_scale[ids]
+        physics.gravity[ids] = _tilted(self._arm.host.opt.gravity, ours.tilt[ids])
+        self._derive_constants(ids)
+
+    def _derive_constants(self, ids: np.ndarray) -> None:
+        """What C MuJoCo derives from the armature, by C MuJoCo: without it the hard rows are up to twice as hard or soft."""
+        host, physics = copy.copy(self._arm.host), self._physics
+        data = mujoco.MjData(host)
+        for index in ids:
+            host.dof_armature[:] = self._arm.host.dof_armature * self._parameters.armature_scale[index]
+            mujoco.mj_setConst(host, data)
+            physics.joint_inverse_inertia[index] = host.dof_invweight0
+            physics.tendon_inverse_inertia[index] = host.tendon_invweight0
+            physics.mean_inertia[index] = host.stat.meaninertia
+
+    def _compile(self) -> Callable[..., tuple[_State, _Measured]]:
+        """Compile now, so that the first step is as fast as the others."""
+        tip = mujoco.mj_name2id(self._arm.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
+        with single_precision(), compiling(f"MJX for {self.num_sims} arms"):
+            advance = jax.jit(jax.vmap(partial(_advance, tip), in_axes=(None, None, 0, 0, None)))
+            return advance.lower(self._arm.model, self._arm.data, self._physics, self._state, np.int32(0)).compile()
+
+
+def _advance(
+    tip: int, model: mjx.Model, home: mjx.Data, physics: _Physics, state: _State, num_steps: jax.Array
+) -> tuple[_State, _Measured]:
+    """One simulation `num_steps` time steps on, and what it shows there (site `tip`'s pose)."""
+    model = _individual(model, physics)
+
+    def measure_and_move(index: jax.Array, data: mjx.Data) -> mjx.Data:
+        """Once more than it moves: the last pass brings what is measured up to the last state, compiled only once."""
+        data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))
+        return jax.lax.cond(index < num_steps, partial(_move, model), lambda still: still, data)
+
+    data = home.replace(
+        qpos=state.joint_positions,
+        qvel=state.joint_velocities,
+        ctrl=state.strand_commands,
+        qacc_warmstart=state.warm_start,
+    )
+    data = jax.lax.fori_loop(0, num_steps + 1, measure_and_move, data)
+    rotation = data.site_xmat[tip].reshape(3, 3)
+    pose = jnp.concatenate([data.site_xpos[tip], rotation[:, 0], rotation[:, 1]])
+    moved = dataclasses.replace(
+        state, joint_positions=data.qpos, joint_velocities=data.qvel, warm_start=data.qacc_warmstart
+    )
+    return moved, _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, pose)
+
+
+def _move(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """The second half of `mjx.step`: accelerations, constraint forces, integration."""
+    return mjx.implicit(model, mjx.solve(model, mjx.fwd_acceleration(model, data)))
+
+
+def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:
+    """The model with one simulation's physical parameters; strands are the actuated tendons, the first ones."""
+    strands = slice(0, model.nu)
+    return model.tree_replace(
+        {
+            "tendon_damping": model.tendon_damping.at[strands].multiply(physics.strand_damping_scale),
+            "tendon_frictionloss": model.tendon_frictionloss.at[strands].set(physics.strand_friction),
+            "dof_armature": model.dof_armature * physics.armature_scale,
+            "actuator_gainprm": model.actuator_gainprm * physics.gain_scale,
+            "actuator_biasprm": model.actuator_biasprm * physics.gain_scale,
+            "opt.gravity": physics.gravity,
+            "dof_invweight0": physics.joint_inverse_inertia,
+            "tendon_invweight0": physics.tendon_inverse_inertia,
+            "stat.meaninertia": physics.mean_inertia,
+        }
+    )
+
+
+def _is_sound(state: _State) -> np.ndarray:
+    """(n,) whether positions and velocities are finite and not absurd."""
+    values = np.concatenate([state.joint_positions, state.joint_velocities, state.warm_start], axis=1)
+    return np.all(np.abs(values) < LARGEST_VALUE, axis=1)  # False for NaN

@@ -1,0 +1,130 @@
+"""MJX against C MuJoCo. One stepper for all tests: compiling it takes a minute on two idle cores."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arms import altered, over_rows, random_bends
+
+from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
+from qjrl.robot import cable_lengths, forward_kinematics, joint_positions, robot_from_mapping, strand_commands
+from qjrl.simulation import SettleConfig
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+
+pytestmark = pytest.mark.slow
+
+NUM_SIMS = 4
+EVERYONE = np.arange(NUM_SIMS)
+NUM_RAMP, NUM_HELD = 20, 5
+SUBSTEPS = 5
+"""Time steps of 4 ms in a control period of 20 ms."""
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """One joint, two cables: compiles in a minute where the paper's arm takes several."""
+    mapping = altered("qj_2222", joints_per_segment=[1])
+    mapping["cables"] |= {"hole_angles_deg": [[0, 90]], "names": [[1, 2]]}
+    return robot_from_mapping(mapping)
+
+
+@pytest.fixture(scope="module")
+def mjx(arm):
+    return make_stepper(arm, NUM_SIMS, SettleConfig(backend="mjx"))
+
+
+@pytest.fixture(scope="module")
+def lengths(arm):
+    """(4, cables) [m] of bends up to half the limit: 0.4 s there at about the motors' speed."""
+    return over_rows(cable_lengths, arm, random_bends(arm, NUM_SIMS, seed=1, share=0.5))
+
+
+def various_parameters():
+    """Four arms over the whole range of the randomisation, one of them without friction."""
+    return PhysicalParameters(
+        strand_damping_scale=np.array([0.5, 1.0, 2.0, 3.0]),
+        strand_friction=np.array([0.0, 3.0, 1.5, 0.5]),
+        armature_scale=np.array([2.0, 0.5, 1.0, 1.5]),
+        gain_scale=np.array([0.8, 1.25, 1.1, 0.9]),
+        tilt=np.array([[0.08, 0.0], [0.0, -0.08], [0.05, 0.05], [0.0, 0.0]]),
+    )
+
+
+def begin(stepper, arm):
+    home = np.asarray(joint_positions(arm, jnp.zeros((arm.num_segments, 2))))
+    stepper.reset(EVERYONE, home, np.asarray(strand_commands(arm, jnp.zeros(arm.num_cables))), various_parameters())
+
+
+def commands(arm, lengths, step):
+    share = min(1.0, step / NUM_RAMP)
+    return over_rows(strand_commands, arm, share * lengths)
+
+
+def travel(stepper, arm, lengths, first=1, last=NUM_RAMP + NUM_HELD):
+    """Readouts after every control step from `first` to `last`, copied."""
+    readouts = []
+    for step in range(first, last + 1):
+        stepper.step(commands(arm, lengths, step), SUBSTEPS)
+        readout = stepper.read()
+        readouts.append({name: np.array(value) for name, value in vars(readout).items()})
+    return {name: np.stack([readout[name] for readout in readouts]) for name in readouts[0]}
+
+
+def test_mjx_moves_as_c_mujoco_does(arm, mjx, lengths):
+    reference = MujocoStepper(arm, NUM_SIMS)
+    begin(reference, arm)
+    begin(mjx, arm)
+    np.testing.assert_allclose(mjx.read().pose, reference.read().pose, atol=1e-6)
+    expected, found = travel(reference, arm, lengths), travel(mjx, arm, lengths)
+    assert found["is_finite"].all() and expected["is_finite"].all()
+    tip_mm = 1e3 * np.linalg.norm((found["pose"] - expected["pose"])[..., :3], axis=-1)
+    assert tip_mm.max() < 0.1
+
+
+def test_mjx_goes_on_bit_for_bit_from_its_state(arm, mjx, lengths):
+    begin(mjx, arm)
+    travel(mjx, arm, lengths, last=3)
+    state = mjx.get_state()
+    through = travel(mjx, arm, lengths, first=4, last=6)
+    begin(mjx, arm)
+    mjx.set_state(state)
+    again = travel(mjx, arm, lengths, first=4, last=6)
+    for name, expected in through.items():
+        np.testing.assert_array_equal(again[name], expected, err_msg=name)
+    assert all(value.dtype != object for value in state.values())
+
+
+def test_a_simulation_that_diverges_is_flagged_until_its_reset_and_leaves_the_others_alone(arm, mjx, lengths):
+    begin(mjx, arm)
+    travel(mjx, arm, lengths, last=2)
+    state = mjx.get_state()
+    expected = travel(mjx, arm, lengths, first=3, last=4)
+    mjx.set_state(state)
+    state["joint_velocities"][1] = 1e12
+    mjx.set_state(state)
+    found = travel(mjx, arm, lengths, first=3, last=4)
+    assert found["is_finite"].tolist() == [[True, False, True, True]] * 2
+    others = [0, 2, 3]
+    np.testing.assert_array_equal(found["pose"][:, others], expected["pose"][:, others])
+    assert np.isfinite(found["pose"]).all()
+    begin(mjx, arm)
+    assert mjx.read().is_finite.all()
+
+
+def test_the_environment_runs_on_mjx(arm, mjx, lengths):
+    targets = over_rows(forward_kinematics, arm, random_bends(arm, NUM_SIMS, seed=1, share=0.5))
+    bank = Bank(jnp.asarray(targets), jnp.asarray(lengths))
+    environment = ResidualEnvironment(arm, EnvironmentConfig(), bank, mjx, seed=0)
+    observation = environment.reset()
+    still = np.zeros((NUM_SIMS, arm.num_cables), np.float32)
+    environment.step(still)
+    transition = environment.step(still)
+    for name, size in environment.observation_sizes.items():
+        assert transition.observation[name].shape == observation[name].shape == (NUM_SIMS, size)
+        assert np.isfinite(transition.observation[name]).all()
+    assert transition.valid.all() and np.isfinite(transition.reward).all()
+    state = environment.get_state()
+    expected = environment.step(still)
+    environment.set_state(state)
+    again = environment.step(still)
+    np.testing.assert_array_equal(again.final_observation["state"], expected.final_observation["state"])
