@@ -60,9 +60,9 @@ def initial_state(
 
 
 def policy_of(state: TrainingState, config: PPOConfig) -> Policy:
-    """The actor by itself, on the host."""
+    """The actor by itself, on the host: copies, since the next update consumes the learner's arrays."""
     layers = state.learner.parameters["policy"]["params"]
-    layers, mean, std = jax.device_get((layers, state.normaliser.mean, state.normaliser.std))
+    layers, mean, std = jax.tree.map(np.array, (layers, state.normaliser.mean, state.normaliser.std))
     return Policy(
         layers, mean[ACTOR_KEY], std[ACTOR_KEY], activation=config.activation, observation_clip=config.observation_clip
     )
