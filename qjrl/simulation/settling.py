@@ -1,6 +1,5 @@
 """Settle: hold cable lengths in the physics until the arm rests, and read its pose and tensions."""
 
-
 import jax
 import numpy as np
 from flax import struct
@@ -77,9 +76,14 @@ def settle(
 
 def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
     """Start every simulation at the nominal pose: the same equilibrium as from home, in half the steps."""
-    start = jax.jit(jax.vmap(lambda row: joint_positions(robot, _within_reach(robot, bends_from_cables(robot, row)))))
-    commands = jax.jit(jax.vmap(lambda row: strand_commands(robot, row)))
-    return SettleProblem(np.asarray(start(lengths), np.float64), np.asarray(commands(lengths), np.float64))
+    positions, commands = _starts_and_commands(robot, lengths)
+    return SettleProblem(np.asarray(positions, np.float64), np.asarray(commands, np.float64))
+
+
+@jax.jit
+def _starts_and_commands(robot: Robot, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
+    starts = jax.vmap(lambda row: joint_positions(robot, _within_reach(robot, bends_from_cables(robot, row))))
+    return starts(lengths), jax.vmap(lambda row: strand_commands(robot, row))(lengths)
 
 
 def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
@@ -98,15 +102,20 @@ def _load_backend(name: str):
 
 
 def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
-    bends = jax.jit(jax.vmap(lambda row: configuration_from_joint_positions(robot, row)))(raw.joint_positions)
-    manifold = jax.jit(jax.vmap(lambda row: joint_positions(robot, row)))(bends)
+    bends, manifold = (np.asarray(rows) for rows in _bends_and_manifold(robot, raw.joint_positions))
     return SettleResult(
         pose=raw.pose,
-        bends=np.asarray(bends),
+        bends=bends,
         strand_tension=raw.strand_tension,
         joint_positions=raw.joint_positions,
-        equality_error=np.abs(np.asarray(manifold) - raw.joint_positions).max(axis=1),
+        equality_error=np.abs(manifold - raw.joint_positions).max(axis=1, initial=0.0),
         speed=raw.speed,
         steps=raw.steps,
         converged=raw.converged,
     )
+
+
+@jax.jit
+def _bends_and_manifold(robot: Robot, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
+    bends = jax.vmap(lambda row: configuration_from_joint_positions(robot, row))(positions)
+    return bends, jax.vmap(lambda row: joint_positions(robot, row))(bends)

@@ -1,6 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arms import ARMS, arm_named, joint_matrix, over_rows, random_bends
 
 from qjrl.robot import (
     bends_from_angles,
@@ -12,7 +13,6 @@ from qjrl.robot import (
     strand_lengths,
 )
 from qjrl.robot.quaternion_arm.cables import cable_matrix, common_lengths
-from tests.arms import ARMS, arm_named, joint_matrix, over_rows, random_bends
 
 ARM = load_robot("qj_2222")
 

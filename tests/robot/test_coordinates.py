@@ -1,9 +1,9 @@
 import jax
 import numpy as np
 import pytest
+from arms import ARMS, arm_named, over_rows, random_bends
 
 from qjrl.robot import configuration_from_joint_positions, joint_positions
-from tests.arms import ARMS, arm_named, over_rows, random_bends
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -2,6 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arms import altered, joint_matrix
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -9,7 +10,6 @@ from qjrl.geometry.pose import pose_from_frame
 from qjrl.geometry.rotations import rotation_y, rotation_z
 from qjrl.robot import bends_from_angles, bends_from_pose, load_robot, robot_from_mapping
 from qjrl.robot.quaternion_arm.joint import bend_angle, half_direction, joint_height, joint_transform
-from tests.arms import altered, joint_matrix
 
 ROLLING = load_robot("qj_2222")
 SPHERICAL = load_robot("qj_2222_spherical")

@@ -2,11 +2,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from arms import ARMS, arm_named, joint_matrix, over_rows, random_bends
 
 from qjrl.geometry.pose import orientation_error
 from qjrl.robot import cable_lengths, forward_kinematics, load_robot, strand_lengths
 from qjrl.robot.quaternion_arm.kinematics import frames, segment_frames
-from tests.arms import ARMS, arm_named, joint_matrix, over_rows, random_bends
 
 TOTAL_LENGTH_MM = {
     "qj_2222": 480,

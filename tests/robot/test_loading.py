@@ -2,10 +2,10 @@ import dataclasses
 
 import pytest
 import yaml
+from arms import MADE_UP, SHIPPED, altered, arm_named
 
 from qjrl.config import ConfigError, conf_folder, read_yaml
 from qjrl.robot import build_mjcf, load_robot, robot_from_mapping, robot_hash
-from tests.arms import MADE_UP, SHIPPED, altered, arm_named
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -1,11 +1,11 @@
 import mujoco
 import numpy as np
 import pytest
+from arms import ARMS, arm_named, over_rows, random_bends
 
 from qjrl.robot import build_mjcf, forward_kinematics, joint_positions, load_robot, strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.quaternion_arm.naming import joint_labels, strand_name
-from tests.arms import ARMS, arm_named, over_rows, random_bends
 
 
 def compiled(arm, options: SolverOptions = SolverOptions()):
@@ -40,7 +40,7 @@ def test_the_model_has_a_strand_an_actuator_and_a_control_in_the_order_of_the_cl
     assert [model.actuator(index).name for index in range(model.nu)] == names
     assert [model.tendon(index).name for index in range(model.nu)] == names
     np.testing.assert_array_equal(model.actuator_forcerange, [[-arm.config.strands.strength, 0.0]] * model.nu)
-    data.ctrl[:] = strand_commands(arm, np.zeros(arm.num_cables))
+    data.ctrl[:] = over_rows(strand_commands, arm, np.zeros((1, arm.num_cables)))[0]
     mujoco.mj_forward(model, data)
     np.testing.assert_allclose(-data.actuator_force, arm.config.strands.pretension, rtol=1e-9)
 

@@ -122,7 +122,8 @@ def _add_joint(
     add_element(chord, "geom", type="capsule", mass=mechanics.joint_mass, fromto=along, **look)
     link = add_element(chord, "body", name=f"link_{label}", pos=(0.0, 0.0, home_height))
     if arm.joint_model == "rolling":
-        add_element(link, "joint", name=f"slide_{label}", type="slide", axis="0 0 1", armature=SLIDE_ARMATURE)
+        slide = SLIDE_ARMATURE * options.armature_scale
+        add_element(link, "joint", name=f"slide_{label}", type="slide", axis="0 0 1", armature=slide)
     add_element(link, "joint", name=f"upper_y_{label}", axis="0 1 0", **hinge)
     add_element(link, "joint", name=f"upper_x_{label}", axis="1 0 0", **hinge)
     return chord, link
