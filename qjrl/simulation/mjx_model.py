@@ -16,7 +16,9 @@ with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where th
 
 __all__ = ["MjxArm", "load_arm", "mjx", "single_precision"]
 
-# In a batch MJX runs every iteration of the line search, C's 50 too; 12 suffice with the friction rows below.
+# In a batch MJX runs as many iterations as its slowest arm wants, and a tolerance that float32 cannot meet makes that all
+# of them: few of both. C needs one iteration of Newton on this model.
+SOLVER_ITERATIONS, SOLVER_TOLERANCE = 3, 1e-6
 LINE_SEARCH_ITERATIONS = 12
 # Dry friction as hard as in C (0.9999) is beyond float32: at rest the solver now and then throws an arm at up to 2.5 rad/s.
 # Measured on one joint with friction up to 3 N: with 0.999 at most 0.03 rad/s, and 0.1 mm of creep in 1.2 s; C: 5e-5 rad/s.
@@ -44,7 +46,8 @@ def load_arm(robot: Robot, options: SolverOptions, strand_friction: float | None
         strand_friction: instead of the robot's [N]. MJX makes friction rows only where this is above 0 here.
     """
     host = mujoco.MjModel.from_xml_string(build_mjcf(robot, options))
-    host.opt.ls_iterations = LINE_SEARCH_ITERATIONS
+    host.opt.iterations, host.opt.ls_iterations = SOLVER_ITERATIONS, LINE_SEARCH_ITERATIONS
+    host.opt.tolerance = SOLVER_TOLERANCE
     host.dof_solimp[:, :2] = host.tendon_solimp_fri[:, :2] = FRICTION_IMPEDANCE
     if strand_friction is not None:
         host.tendon_frictionloss[: robot.num_strands] = strand_friction

@@ -16,7 +16,7 @@ from qjrl.progress import compiling
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mjx_model import load_arm, mjx, single_precision
-from qjrl.simulation.stepping import PhysicalParameters, Readout, _tilted
+from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
 LEAST_FRICTION = 1e-4
@@ -150,11 +150,11 @@ class MjxStepper:
         physics.strand_friction[ids] = np.maximum(ours.strand_friction[ids], LEAST_FRICTION)
         physics.armature_scale[ids] = ours.armature_scale[ids]
         physics.gain_scale[ids] = ours.gain_scale[ids]
-        physics.gravity[ids] = _tilted(self._arm.host.opt.gravity, ours.tilt[ids])
+        physics.gravity[ids] = tilted(self._arm.host.opt.gravity, ours.tilt[ids])
         self._derive_constants(ids)
 
     def _derive_constants(self, ids: np.ndarray) -> None:
-        """What C MuJoCo derives from the armature, by C MuJoCo: without it the hard rows are up to twice as hard or soft."""
+        """What C MuJoCo derives from the armature, by C MuJoCo: they scale how hard the rows are."""
         host, physics = copy.copy(self._arm.host), self._physics
         data = mujoco.MjData(host)
         for index in ids:
@@ -177,30 +177,20 @@ def _advance(
 ) -> tuple[_State, _Measured]:
     """One simulation `num_steps` time steps on, and what it shows there (site `tip`'s pose)."""
     model = _individual(model, physics)
-
-    def measure_and_move(index: jax.Array, data: mjx.Data) -> mjx.Data:
-        """Once more than it moves: the last pass brings what is measured up to the last state, compiled only once."""
-        data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))
-        return jax.lax.cond(index < num_steps, partial(_move, model), lambda still: still, data)
-
     data = home.replace(
         qpos=state.joint_positions,
         qvel=state.joint_velocities,
         ctrl=state.strand_commands,
         qacc_warmstart=state.warm_start,
     )
-    data = jax.lax.fori_loop(0, num_steps + 1, measure_and_move, data)
+    data = jax.lax.fori_loop(0, num_steps, lambda _, data: mjx.step(model, data), data)
+    data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))  # what is seen there
     rotation = data.site_xmat[tip].reshape(3, 3)
     pose = jnp.concatenate([data.site_xpos[tip], rotation[:, 0], rotation[:, 1]])
     moved = dataclasses.replace(
         state, joint_positions=data.qpos, joint_velocities=data.qvel, warm_start=data.qacc_warmstart
     )
     return moved, _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, pose)
-
-
-def _move(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """The second half of `mjx.step`: accelerations, constraint forces, integration."""
-    return mjx.implicit(model, mjx.solve(model, mjx.fwd_acceleration(model, data)))
 
 
 def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:

@@ -163,11 +163,11 @@ class MujocoStepper:
         field("dof_armature")[ids] = model.dof_armature * ours.armature_scale[ids, None]
         field("actuator_gainprm")[ids] = model.actuator_gainprm * ours.gain_scale[ids, None, None]
         field("actuator_biasprm")[ids] = model.actuator_biasprm * ours.gain_scale[ids, None, None]
-        field("opt.gravity")[ids] = _tilted(model.opt.gravity, ours.tilt[ids])
+        field("opt.gravity")[ids] = tilted(model.opt.gravity, ours.tilt[ids])
         self._batch.set_const(ids)
 
 
-def _tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+def tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:
     """Gravity (n, 3) rotated about x, then y, by angles (n, 2) [rad]."""
     (cx, cy), (sx, sy) = np.cos(tilt).T, np.sin(tilt).T
     x, y, z = gravity

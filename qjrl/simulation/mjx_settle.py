@@ -1,0 +1,113 @@
+"""Settle with MJX, in float32, for accelerators: chunks of simulations stepped together, each frozen once it rests."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from flax import struct
+
+from qjrl.progress import compiling
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.mjx_model import load_arm, mjx, single_precision
+from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
+
+# In float32 a resting arm still shows mean |joint velocity| of up to 1.2e-4 rad/s: what counts as rest is above that.
+REST_SPEED = 2e-4
+# Steps between two looks of the host at which simulations still move.
+_STEPS_PER_CALL = 50
+
+
+@struct.dataclass
+class _Row:
+    """One simulation on its way to rest."""
+
+    joint_positions: jax.Array
+    joint_velocities: jax.Array
+    warm_start: jax.Array
+    strand_commands: jax.Array
+    steps: jax.Array
+    quiet_steps: jax.Array
+
+
+@struct.dataclass
+class _Reading:
+    pose: jax.Array
+    actuator_force: jax.Array
+
+
+def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advance) -> RawSettled:
+    """Run every row of `problem` to rest, `batch_size` at a time; rest is judged by `REST_SPEED` at least."""
+    arm = load_arm(robot, config.solver)
+    size = min(config.batch_size, max(len(problem.joint_positions), 1))
+    tip = mujoco.mj_name2id(arm.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
+    with single_precision():
+        move = jax.jit(jax.vmap(partial(_move, config), in_axes=(None, None, 0)))
+        look = jax.jit(jax.vmap(partial(_look, tip), in_axes=(None, None, 0)))
+        with compiling(f"MJX to settle {size} arms"):
+            rows = _rows(problem, np.zeros(size, int))
+            move, look = (one.lower(arm.model, arm.data, rows).compile() for one in (move, look))
+        parts = []
+        for start in range(0, len(problem.joint_positions), size):
+            chosen = np.arange(start, min(start + size, len(problem.joint_positions)))
+            padded = np.resize(chosen, size)
+            rows = _rows(problem, padded)
+            while np.asarray(_is_active(config, rows)).any():
+                rows = move(arm.model, arm.data, rows)
+            parts.append(_raw(config, rows, look(arm.model, arm.data, rows), len(chosen)))
+            advance(len(chosen))
+    fields = ("joint_positions", "pose", "strand_tension", "speed", "steps", "converged")
+    return RawSettled(*(np.concatenate([getattr(part, field) for part in parts]) for field in fields))
+
+
+def _rows(problem: SettleProblem, ids: np.ndarray) -> _Row:
+    positions = np.asarray(problem.joint_positions[ids], np.float32)
+    zeros, counts = np.zeros_like(positions), np.zeros(len(ids), np.int32)
+    return _Row(positions, zeros, zeros, np.asarray(problem.strand_commands[ids], np.float32), counts, counts)  # pyright: ignore[reportArgumentType]
+
+
+def _is_active(config: SettleConfig, row: _Row) -> jax.Array:
+    return (row.quiet_steps < config.hold_steps) & (row.steps < config.max_steps)
+
+
+def _move(config: SettleConfig, model: mjx.Model, home: mjx.Data, row: _Row) -> _Row:
+    """`_STEPS_PER_CALL` steps of one simulation; once at rest it stays as it is."""
+    tolerance = max(config.rest_speed, REST_SPEED)
+
+    def step(_, row: _Row) -> _Row:
+        data = mjx.step(model, _data(home, row))
+        is_quiet = jnp.mean(jnp.abs(data.qvel)) < tolerance
+        quiet = jnp.where(is_quiet, row.quiet_steps + 1, 0)
+        moved = _Row(data.qpos, data.qvel, data.qacc_warmstart, row.strand_commands, row.steps + 1, quiet)
+        return jax.tree.map(lambda new, old: jnp.where(_is_active(config, row), new, old), moved, row)
+
+    return jax.lax.fori_loop(0, _STEPS_PER_CALL, step, row)
+
+
+def _look(tip: int, model: mjx.Model, home: mjx.Data, row: _Row) -> _Reading:
+    data = mjx.forward(model, _data(home, row))
+    rotation = data.site_xmat[tip].reshape(3, 3)
+    pose = jnp.concatenate([data.site_xpos[tip], rotation[:, 0], rotation[:, 1]])
+    return _Reading(pose, data.actuator_force)
+
+
+def _data(home: mjx.Data, row: _Row) -> mjx.Data:
+    return home.replace(
+        qpos=row.joint_positions, qvel=row.joint_velocities, ctrl=row.strand_commands, qacc_warmstart=row.warm_start
+    )
+
+
+def _raw(config: SettleConfig, rows: _Row, reading: _Reading, count: int) -> RawSettled:
+    """The first `count` rows on the host, float64."""
+    wide = jax.tree.map(lambda value: np.asarray(value)[:count].astype(np.float64), (rows, reading))
+    rest, seen = wide
+    is_finite = np.isfinite(seen.pose).all(axis=1) & np.isfinite(rest.joint_positions).all(axis=1)
+    return RawSettled(
+        joint_positions=rest.joint_positions,
+        pose=seen.pose,
+        strand_tension=np.maximum(-seen.actuator_force, 0.0),
+        speed=np.abs(rest.joint_velocities).mean(axis=1),
+        steps=rest.steps.astype(int),
+        converged=is_finite & (rest.quiet_steps >= config.hold_steps),
+    )
