@@ -7,6 +7,7 @@ import numpy as np
 CONTROLLER_LABELS = {
     "nominal": "nominal closed form",
     "learned_ik": "learned IK",
+    "nominal+residual": "nominal + residual",
     "learned_ik+residual": "learned IK + residual",
 }
 

@@ -16,6 +16,15 @@ from qjrl.simulation.settle_problem import SettleConfig
 _COMPARE_SEED = 4_000_003
 
 
+# Base of a policy -> name of its controller.
+BASE_CONTROLLERS = {"nominal": "nominal", "learned": "learned_ik"}
+
+
+def residual_name(config: PolicyConfig) -> str:
+    """Name of the controller that adds the policy to its base: "learned_ik+residual"."""
+    return f"{BASE_CONTROLLERS[config.base]}+residual"
+
+
 def compare_controllers(
     robot: Robot,
     simulation: SettleConfig,
@@ -35,7 +44,7 @@ def compare_controllers(
     controllers = {
         "nominal": ("nominal", None),
         "learned_ik": ("learned", None),
-        "learned_ik+residual": (config.base, acting(policy)),
+        residual_name(config): (config.base, acting(policy)),
     }
     in_time = np.all(
         [arrives_in_time(robot, config.environment, targets[f"{base}_lengths"]) for base in ("nominal", "learned")],

@@ -121,6 +121,7 @@ class ResidualEnvironment:
         }
         fields["key"] = jax.random.wrap_key_data(fields["key"])
         self._state = ControlState(**fields)
+        self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(self._state.command))
         self._stepper.set_state(
             {name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")}
         )

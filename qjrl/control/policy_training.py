@@ -3,6 +3,7 @@
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,6 +19,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.train import train
+from qjrl.learning.tensorboard import tensorboard
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
@@ -42,6 +44,8 @@ class PolicyConfig:
     """Arms stepped together; the paper has 2048 on a GPU."""
     num_judged: Annotated[int, Range(1, 100_000)] = 32
     """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
+    tensorboard: bool = False
+    """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
     environment: EnvironmentConfig = EnvironmentConfig()
     ppo: PPOConfig = PPOConfig()
 
@@ -83,7 +87,9 @@ def train_policy(
         robot, config.environment, bank_of(targets, config.base, trained_on), stepper, seed
     )
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
-    policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm")
+    with ExitStack() as stack:
+        callbacks = [stack.enter_context(tensorboard(directory / "tensorboard"))] if config.tensorboard else []
+        policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
     left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
     return TrainedPolicy(policy, left_out, _bare_rate(environment))
 

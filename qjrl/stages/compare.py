@@ -9,11 +9,11 @@ import numpy as np
 from qjrl import artifacts, progress
 from qjrl.analysis import metrics as measures
 from qjrl.analysis import sections
-from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.outcomes import Outcome, controller_label
 from qjrl.analysis.report import Report, write_report
 from qjrl.analysis.report_html import Number
 from qjrl.analysis.tables import as_text
-from qjrl.control.comparison import compare_controllers
+from qjrl.control.comparison import BASE_CONTROLLERS, compare_controllers, residual_name
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
@@ -54,7 +54,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         )
         for (target_set, name), (one, left_out) in judged.items()
     ]
-    verdict = measures.judge_residual(outcomes)
+    verdict = _verdict(config, outcomes)
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
     artifacts.write_json(
         out / "metrics.json",
@@ -64,6 +64,10 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     log.info("%s", as_text(measures.error_table(outcomes)))
     log.info("%s", as_text(measures.tension_table(outcomes)))
     log.info("%s. %s", verdict.headline, verdict.detail)
+
+
+def _verdict(config: Config, outcomes: list[Outcome]) -> measures.Verdict:
+    return measures.judge_residual(outcomes, residual_name(config.policy), BASE_CONTROLLERS[config.policy.base])
 
 
 def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
@@ -78,7 +82,7 @@ def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
 def _report(
     config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets
 ) -> Report:
-    verdict = measures.judge_residual(outcomes)
+    verdict = _verdict(config, outcomes)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     fitted, inverted, trained = (
         artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy")
@@ -109,9 +113,8 @@ def _summary(outcomes: list[Outcome], fitted: dict, trained: dict) -> tuple[Numb
     medians = {
         one.controller: float(np.median(one.position_error_mm)) for one in outcomes if one.target_set == headline_set
     }
-    labels = {"nominal": "nominal closed form", "learned_ik": "learned IK", "learned_ik+residual": "with residual"}
     return (
-        *(Number(labels[name], value, "mm", "median, randomised physics") for name, value in medians.items()),
+        *(Number(controller_label(name), value, "mm", "median, randomised physics") for name, value in medians.items()),
         Number("forward model", fitted["held_out"]["median_mm"], "mm", "held-out median"),
         Number(
             "training rate",
