@@ -54,7 +54,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         )
         for (target_set, name), (one, left_out) in judged.items()
     ]
-    verdict = _verdict(config, outcomes)
+    trained = artifacts.load(inputs["policy"] / "metrics.json")
+    verdict = _verdict(config, outcomes, trained)
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
     artifacts.write_json(
         out / "metrics.json",
@@ -66,8 +67,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     log.info("%s. %s", verdict.headline, verdict.detail)
 
 
-def _verdict(config: Config, outcomes: list[Outcome]) -> measures.Verdict:
-    return measures.judge_residual(outcomes, residual_name(config.policy), BASE_CONTROLLERS[config.policy.base])
+def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures.Verdict:
+    """The verdict in words; a policy that is its own base is not praised for being as good."""
+    verdict = measures.judge_residual(outcomes, residual_name(config.policy), BASE_CONTROLLERS[config.policy.base])
+    if trained["kept_env_steps"] > 0:
+        return verdict
+    return dataclasses.replace(verdict, holds=None, headline=_UNTRAINED)
 
 
 def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
@@ -82,11 +87,11 @@ def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
 def _report(
     config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets
 ) -> Report:
-    verdict = _verdict(config, outcomes)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     fitted, inverted, trained = (
         artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy")
     )
+    verdict = _verdict(config, outcomes, trained)
     unsettled = int(np.sum(~data["converged"]))
     return Report(
         title=f"{robot.name}, run {config.name}",
@@ -146,10 +151,12 @@ def _policy_section(directory: Path, trained: dict):
             "base, near home": trained["base"]["near_home_median_mm"],
         },
         numbers,
-        "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept.",
+        "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept: "
+        f"the one after {trained['kept_env_steps']:,} steps.",
     )
 
 
+_UNTRAINED = "No trained checkpoint beat the base: the residual kept is the untrained one, which equals its base"
 _RESULTS_TEXT = (
     "One episode of four seconds a target, from home: strand friction, damping, inertia, gains and the base's tilt are "
     "drawn anew for every target, and are the same for every controller. Errors are means over the last half second."

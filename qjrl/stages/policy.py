@@ -29,7 +29,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
     records = artifacts.load(out / "progress.jsonl")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
+    judged = [record for record in records if "evaluation/median_mm" in record]
     metrics = {
+        "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
         "steps_per_second": float(np.median(rates)),
@@ -39,6 +41,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "base": {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
     }
     artifacts.write_json(out / "metrics.json", metrics)
+    if metrics["kept_env_steps"] == 0:
+        log.info("policy: no trained checkpoint beats the base on the judged targets; the untrained policy is kept")
     log.info(
         "policy: %d steps at %.0f/s, %.0f %% of the bare physics' %.0f/s",
         metrics["env_steps"],
