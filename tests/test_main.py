@@ -78,7 +78,13 @@ def in_a_process(program: list[str], folder: Path) -> "subprocess.Popen[str]":
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     pipe = subprocess.PIPE
     return subprocess.Popen(
-        [sys.executable, *program], cwd=folder, env=environment, text=True, stdout=pipe, stderr=pipe
+        [sys.executable, *program],
+        cwd=folder,
+        env=environment,
+        text=True,
+        stdout=pipe,
+        stderr=pipe,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # ignored in a background job
     )
 
 

@@ -65,16 +65,15 @@ def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
 
 
 def test_a_residual_at_rest_stays_exactly_where_it_is():
+    config = motors.ResidualConfig(bound=0.01)
     residual = jnp.array([0.003, -0.007, 0.01])
-    np.testing.assert_array_equal(
-        motors.move_residual(motors.ResidualConfig(), residual, jnp.zeros(3), PERIOD), residual
-    )
+    np.testing.assert_array_equal(motors.move_residual(config, residual, jnp.zeros(3), PERIOD), residual)
 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_base_and_residual_together_never_exceed_the_motors_speed(name):
     """The residual moves at its full rate, in both directions, while the base is ramped in at motor speed."""
-    arm, config = arm_named(name), motors.ResidualConfig()
+    arm, config = arm_named(name), motors.ResidualConfig(rate=0.0075, bound=0.01)
     base = jnp.asarray(base_commands(arm, 1)[0])
     action = jnp.asarray(np.where(np.arange(arm.num_cables) % 3 == 0, -1.0, 1.0) * np.sign(base))
 
