@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from qjrl.analysis.outcomes import Outcome
+from qjrl.simulation.settling import SLACK_TENSION
 
 # Controller of a report -> prefix of its columns in the answers.
 _PREFIXES = {"nominal": "nominal", "learned_ik": "learned"}
-_SLACK_TENSION = 0.01
 
 
 def outcomes_of_answers(answers: Mapping[str, np.ndarray], target_sets: Sequence[str]) -> list[Outcome]:
@@ -26,7 +26,7 @@ def outcomes_of_answers(answers: Mapping[str, np.ndarray], target_sets: Sequence
                     position_error=answers[f"{prefix}_position_error"][rows],
                     orientation_error=answers[f"{prefix}_orientation_error"][rows],
                     strand_tension=tension,
-                    is_slack=tension < _SLACK_TENSION,
+                    is_slack=tension < SLACK_TENSION,
                     num_left_out=int(is_in_set.sum() - rows.sum()),
                 )
             )
