@@ -1,16 +1,16 @@
 """Settle with MJX, in float32, for accelerators: chunks of simulations stepped together, each frozen once it rests."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 from flax import struct
 
 from qjrl.progress import compiling
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import load_arm, mjx, single_precision
+from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 # In float32 a resting arm still shows mean |joint velocity| of up to 1.2e-4 rad/s: what counts as rest is above that.
@@ -19,16 +19,20 @@ REST_SPEED = 2e-4
 _STEPS_PER_CALL = 50
 
 
+# An array of numpy's on the host, of JAX's inside compiled code.
+_Rows = Any
+
+
 @struct.dataclass
 class _Row:
     """One simulation on its way to rest."""
 
-    joint_positions: jax.Array
-    joint_velocities: jax.Array
-    warm_start: jax.Array
-    strand_commands: jax.Array
-    steps: jax.Array
-    quiet_steps: jax.Array
+    joint_positions: _Rows
+    joint_velocities: _Rows
+    warm_start: _Rows
+    strand_commands: _Rows
+    steps: _Rows
+    quiet_steps: _Rows
 
 
 @struct.dataclass
@@ -41,13 +45,11 @@ def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advan
     """Run every row of `problem` to rest, `batch_size` at a time; rest is judged by `REST_SPEED` at least."""
     arm = load_arm(robot, config.solver)
     size = min(config.batch_size, max(len(problem.joint_positions), 1))
-    tip = mujoco.mj_name2id(arm.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
     with single_precision():
-        move = jax.jit(jax.vmap(partial(_move, config), in_axes=(None, None, 0)))
-        look = jax.jit(jax.vmap(partial(_look, tip), in_axes=(None, None, 0)))
         with compiling(f"MJX to settle {size} arms"):
-            rows = _rows(problem, np.zeros(size, int))
-            move, look = (one.lower(arm.model, arm.data, rows).compile() for one in (move, look))
+            example = (arm.model, arm.data, _rows(problem, np.zeros(size, int)))
+            move = compile_batch(partial(_move, config), (None, None, 0), *example)
+            look = compile_batch(partial(_look, arm.tip), (None, None, 0), *example)
         parts = []
         for start in range(0, len(problem.joint_positions), size):
             chosen = np.arange(start, min(start + size, len(problem.joint_positions)))
@@ -64,7 +66,7 @@ def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advan
 def _rows(problem: SettleProblem, ids: np.ndarray) -> _Row:
     positions = np.asarray(problem.joint_positions[ids], np.float32)
     zeros, counts = np.zeros_like(positions), np.zeros(len(ids), np.int32)
-    return _Row(positions, zeros, zeros, np.asarray(problem.strand_commands[ids], np.float32), counts, counts)  # pyright: ignore[reportArgumentType]
+    return _Row(positions, zeros, zeros, np.asarray(problem.strand_commands[ids], np.float32), counts, counts)
 
 
 def _is_active(config: SettleConfig, row: _Row) -> jax.Array:
@@ -87,9 +89,7 @@ def _move(config: SettleConfig, model: mjx.Model, home: mjx.Data, row: _Row) -> 
 
 def _look(tip: int, model: mjx.Model, home: mjx.Data, row: _Row) -> _Reading:
     data = mjx.forward(model, _data(home, row))
-    rotation = data.site_xmat[tip].reshape(3, 3)
-    pose = jnp.concatenate([data.site_xpos[tip], rotation[:, 0], rotation[:, 1]])
-    return _Reading(pose, data.actuator_force)
+    return _Reading(tip_pose(data, tip), data.actuator_force)
 
 
 def _data(home: mjx.Data, row: _Row) -> mjx.Data:

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from flax import struct
@@ -15,7 +14,7 @@ from flax import struct
 from qjrl.progress import compiling
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import load_arm, mjx, single_precision
+from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
 from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
@@ -166,10 +165,9 @@ class MjxStepper:
 
     def _compile(self) -> Callable[..., tuple[_State, _Measured]]:
         """Compile now, so that the first step is as fast as the others."""
-        tip = mujoco.mj_name2id(self._arm.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
-        with single_precision(), compiling(f"MJX for {self.num_sims} arms"):
-            advance = jax.jit(jax.vmap(partial(_advance, tip), in_axes=(None, None, 0, 0, None)))
-            return advance.lower(self._arm.model, self._arm.data, self._physics, self._state, np.int32(0)).compile()
+        example = (self._arm.model, self._arm.data, self._physics, self._state, np.int32(0))
+        with compiling(f"MJX for {self.num_sims} arms"):
+            return compile_batch(partial(_advance, self._arm.tip), (None, None, 0, 0, None), *example)
 
 
 def _advance(
@@ -185,12 +183,10 @@ def _advance(
     )
     data = jax.lax.fori_loop(0, num_steps, lambda _, data: mjx.step(model, data), data)
     data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))  # what is seen there
-    rotation = data.site_xmat[tip].reshape(3, 3)
-    pose = jnp.concatenate([data.site_xpos[tip], rotation[:, 0], rotation[:, 1]])
     moved = dataclasses.replace(
         state, joint_positions=data.qpos, joint_velocities=data.qvel, warm_start=data.qacc_warmstart
     )
-    return moved, _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, pose)
+    return moved, _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, tip_pose(data, tip))
 
 
 def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:

@@ -37,10 +37,15 @@ class SettleConfig:
 
     @property
     def solver(self) -> SolverOptions:
-        """The physics' numerical settings while settling. Armature grows with the damping: the implicit damping weakens
-        the forces of rows as damping * timestep / inertia, and with ten times the one and not the other, stops chatter."""
-        armature_scale = min(max(0.5 * self.damping_scale, 1.0), 10.0)
-        return SolverOptions(self.timestep, damping_scale=self.damping_scale, armature_scale=armature_scale)
+        """The physics' numerical settings while settling: armature grows with the joints' damping, and the strands' shrinks.
+        Implicit damping weakens the forces of rows as damping * timestep / inertia, until they chatter."""
+        return SolverOptions(
+            self.timestep,
+            damping_scale=self.damping_scale,
+            armature_scale=min(max(0.5 * self.damping_scale, 1.0), 10.0),
+            strand_damping_scale=0.1,
+            lumping=2,
+        )
 
     @property
     def rest_speed(self) -> float:

@@ -16,7 +16,7 @@ from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.mjcf_ties import HIDDEN_SITE, add_equalities, add_measuring_sites, add_stops_and_heights
-from qjrl.robot.quaternion_arm.naming import joint_labels, segment_of, strand_name
+from qjrl.robot.quaternion_arm.naming import joint_labels, leader, segment_of, strand_name
 
 # Inertia of the slide [kg]. A height row is soft in proportion to its inverse: at 1 kg the tip rests 0.03 mm below the
 # minimum of the potential energy, at 10 kg 0.005 mm. Small against the hinges' while dH/dtheta stays below 5 mm/rad.
@@ -39,6 +39,13 @@ class SolverOptions:
     """Factor on the joints' damping: speeds up settling, leaves the equilibrium where it is."""
     solver_iterations: Annotated[int, Range(low=1, high=100)] = 20
     """Newton iterations at most."""
+    strand_damping_scale: Annotated[float, Range(low=0.0, high=10.0)] = 1.0
+    """Factor on the strands' damping, which leaves the equilibrium where it is, too."""
+    lumping: Annotated[int, Range(low=1, high=2)] = 1
+    """With 2, strands cross every second joint of a segment twice instead of every joint once, and that joint's slide leads
+    the next one's: the coupling hands on what each would have got itself. The same equilibrium with half the tendon
+    branches: for settling with little strand damping. With all of it the arm chatters, as the implicit damping of one of
+    two equal joints weakens what holds them equal."""
 
 
 def build_mjcf(arm: QuaternionArm, options: SolverOptions = SolverOptions()) -> str:
@@ -55,9 +62,9 @@ def build_mjcf(arm: QuaternionArm, options: SolverOptions = SolverOptions()) -> 
     _add_settings(root, arm, options)
     _add_bodies(root, arm, options)
     tendon = add_element(root, "tendon")
-    _add_strands(tendon, arm)
-    add_stops_and_heights(tendon, arm)
-    add_equalities(root, arm, options.equality_time_constant)
+    _add_strands(tendon, arm, options)
+    add_stops_and_heights(tendon, arm, options.lumping)
+    add_equalities(root, arm, options.equality_time_constant, options.lumping)
     _add_actuators(root, arm)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
@@ -87,11 +94,12 @@ def _add_bodies(root: ElementTree.Element, arm: QuaternionArm, options: SolverOp
     """Nested chords and links from the base to the tip."""
     parent, plate_height = add_element(root, "worldbody"), 0.0
     for label in joint_labels(arm):
-        _add_holes(parent, arm, f"lower_{label}", segment_of(label), plate_height)
         chord, link = _add_joint(parent, arm, options, label, plate_height)
         add_measuring_sites(parent, chord, link, label, plate_height, _home_height(arm))
         _add_link(link, arm)
-        _add_holes(link, arm, f"upper_{label}", segment_of(label), 0.0)
+        if label == leader(label, options.lumping):
+            _add_holes(parent, arm, f"lower_{label}", segment_of(label), plate_height)
+            _add_holes(link, arm, f"upper_{label}", segment_of(label), 0.0)
         parent, plate_height = link, arm.config.link_length
     tip = (0.0, 0.0, plate_height)
     add_element(parent, "site", name="tip", pos=tip, size=(0.006,), rgba="0.9 0.2 0.2 1")
@@ -147,17 +155,19 @@ def _add_holes(body: ElementTree.Element, arm: QuaternionArm, label: str, segmen
         add_element(body, "site", name=f"hole_{label}_{strand}", pos=position, **HIDDEN_SITE)
 
 
-def _add_strands(tendon: ElementTree.Element, arm: QuaternionArm) -> None:
-    """Strands through the plate holes; pulleys leave out the constant runs inside links."""
+def _add_strands(tendon: ElementTree.Element, arm: QuaternionArm, options: SolverOptions) -> None:
+    """Strands through the plate holes. Pulleys leave out the constant runs inside links, and count a crossing once for each
+    joint it stands for."""
     strands = arm.config.strands
-    force = {"damping": strands.damping, "frictionloss": strands.friction, **STICKING}
+    force = {"damping": strands.damping * options.strand_damping_scale, "frictionloss": strands.friction, **STICKING}
     look = {"width": 0.0006, "rgba": "0.8 0.2 0.2 1"}
     for strand in range(arm.num_strands):
         spatial = add_element(tendon, "spatial", name=strand_name(arm, strand), **force, **look)
-        crossed = [label for label in joint_labels(arm) if segment_of(label) <= strand // 4]
-        for index, label in enumerate(crossed):
-            if index:
-                add_element(spatial, "pulley", divisor=1)
+        for label in joint_labels(arm):
+            if segment_of(label) > strand // 4 or label != leader(label, options.lumping):
+                continue
+            led = sum(leader(other, options.lumping) == label for other in joint_labels(arm))
+            add_element(spatial, "pulley", divisor=1.0 / led)
             add_element(spatial, "site", site=f"hole_lower_{label}_{strand}")
             add_element(spatial, "site", site=f"hole_upper_{label}_{strand}")
 

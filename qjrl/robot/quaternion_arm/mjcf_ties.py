@@ -14,7 +14,7 @@ from qjrl.config import ConfigError
 from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
-from qjrl.robot.quaternion_arm.naming import first_of_segment, joint_labels
+from qjrl.robot.quaternion_arm.naming import first_of_segment, joint_labels, leader
 
 # Sites of the measuring tendons lie this far from the pivots [m]; any value serves, near the joint's size is best.
 MEASURING_ARM = 0.030
@@ -51,18 +51,18 @@ def add_measuring_sites(
         add_element(link, "site", name=f"above_{label}", pos=(0.0, 0.0, c), **HIDDEN_SITE)
 
 
-def add_stops_and_heights(tendon: ElementTree.Element, arm: QuaternionArm) -> None:
+def add_stops_and_heights(tendon: ElementTree.Element, arm: QuaternionArm, lumping: int) -> None:
     """The stop of every segment's first joint, whose coupling passes it on, and what ties the slides of rolling joints."""
     for label in joint_labels(arm):
         if label == first_of_segment(label):
             _add_stop(tendon, arm, label)
-        if arm.joint_model == "rolling":
+        if arm.joint_model == "rolling" and label == leader(label, lumping):
             _add_path(tendon, f"measure_{label}", [(f"below_{label}", f"along_{label}", 1.0)])
             fixed = add_element(tendon, "fixed", name=f"height_{label}")
             add_element(fixed, "joint", joint=f"slide_{label}", coef=1)
 
 
-def add_equalities(root: ElementTree.Element, arm: QuaternionArm, time_constant: float) -> None:
+def add_equalities(root: ElementTree.Element, arm: QuaternionArm, time_constant: float, lumping: int) -> None:
     """Equal halves of a joint, equal joints of a segment, and the height of the rolling joint."""
     equality = add_element(root, "equality")
     hard = {"solref": (time_constant, 1.0), "solimp": HARD_SOLIMP}
@@ -74,7 +74,9 @@ def add_equalities(root: ElementTree.Element, arm: QuaternionArm, time_constant:
             add_element(equality, "joint", joint1=f"upper_{axis}_{label}", joint2=lower, **hard)
             if label != first:
                 add_element(equality, "joint", joint1=lower, joint2=f"lower_{axis}_{first}", **hard)
-        if polynomial is not None:
+        if polynomial is not None and label != leader(label, lumping):
+            add_element(equality, "joint", joint1=f"slide_{label}", joint2=f"slide_{leader(label, lumping)}", **hard)
+        elif polynomial is not None:
             tied = {"tendon1": f"height_{label}", "tendon2": f"measure_{label}", "polycoef": polynomial}
             add_element(equality, "tendon", **tied, **hard)
 

@@ -18,6 +18,12 @@ def first_of_segment(label: str) -> str:
     return label.split("_")[0] + "_1"
 
 
+def leader(label: str, size: int) -> str:
+    """Label of the first joint of the group of `size` neighbours in its segment that a joint belongs to."""
+    segment, joint = label.split("_")
+    return f"{segment}_{(int(joint) - 1) // size * size + 1}"
+
+
 def strand_name(arm: QuaternionArm, strand: int) -> str:
     """ "strand_NUMBER_a" at the cable's hole angle, "strand_NUMBER_b" opposite to it."""
     numbers = [number for pair in arm.config.cables.names for number in pair]
