@@ -81,6 +81,12 @@ STAGES: dict[str, Stage] = {
         writes="describe",
         default=False,
     ),
+    "workspace": Stage(
+        "qjrl.stages.workspace",
+        "measure and compare what the tips of arms reach",
+        writes="workspace",
+        default=False,
+    ),
 }
 
 

@@ -16,10 +16,17 @@ from qjrl.artifacts import write_bytes
 
 
 @dataclasses.dataclass(frozen=True)
-class Picture:
-    """A figure, or the bytes of a PNG file (a rendering), with one sentence that says what to see."""
+class Fragment:
+    """HTML that stands in the page as it is, such as a viewer with its script."""
 
-    content: Figure | bytes
+    html: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Picture:
+    """A figure, the bytes of a PNG file (a rendering) or HTML, with one sentence that says what to see."""
+
+    content: Figure | bytes | Fragment
     caption: str
     is_wide: bool = False
     """Takes the whole width; otherwise two stand side by side where there is room."""
@@ -110,7 +117,9 @@ def _section(index: int, section: Section) -> str:
     return "\n".join(part for part in parts if part)
 
 
-def _drawn(content: Figure | bytes, prefix: str, caption: str) -> str:
+def _drawn(content: Figure | bytes | Fragment, prefix: str, caption: str) -> str:
+    if isinstance(content, Fragment):
+        return content.html
     label = html.escape(caption)
     if isinstance(content, bytes):
         return f'<img src="{png_data_uri(content)}" alt="{label}">'

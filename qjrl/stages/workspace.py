@@ -1,0 +1,49 @@
+"""Stage `workspace`: what the tips of arms reach, how it overlaps, and whether the paper's claim about it holds."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+from qjrl import artifacts, progress
+from qjrl.analysis import workspace_comparison as comparison
+from qjrl.analysis.canvas import save_png
+from qjrl.analysis.report import write_report
+from qjrl.analysis.tables import as_text
+from qjrl.analysis.workspace import WorkspaceConfig, measure_workspaces, num_poses
+from qjrl.analysis.workspace_report import workspace_figures, workspace_report
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    workspace: WorkspaceConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `rings.npz`, figures and `report.html`; the tables go to the log."""
+    del inputs
+    settings = config.workspace
+    with progress.track(num_poses(settings), "drawing poses") as advance:
+        workspaces = measure_workspaces(settings, config.seed, advance)
+    pairs = comparison.compare(workspaces, settings.comparable_share)
+    artifacts.write_json(out / "metrics.json", comparison.metrics_of(settings, workspaces, pairs))
+    artifacts.write_arrays(
+        out / "rings.npz",
+        {f"{one.config.label}/{law}": hits for one in workspaces for law, hits in one.hits.items()},
+    )
+    pictures = workspace_figures(settings, workspaces)
+    for name, (figure, _) in pictures.items():
+        save_png(figure, out / f"{name}.png", dpi=110)
+    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    write_report(out / "report.html", workspace_report(settings, workspaces, pairs, pictures, provenance))
+    for table in (
+        comparison.volume_table(workspaces),
+        comparison.voxel_table(workspaces, settings.coarse_factor),
+        comparison.arm_table(workspaces, settings.coarse_factor),
+        comparison.overlap_table(pairs),
+    ):
+        log.info("%s\n", as_text(table))
+    verdict = comparison.judge(pairs, settings.comparable_share)
+    log.info("%s. %s", verdict.headline, verdict.detail)
