@@ -87,6 +87,12 @@ STAGES: dict[str, Stage] = {
         writes="workspace",
         default=False,
     ),
+    "elliptical_deviation": Stage(
+        "qjrl.stages.elliptical_deviation",
+        "measure how far the joint's path leaves the circle, and what it does to the arm",
+        writes="elliptical_deviation",
+        default=False,
+    ),
 }
 
 

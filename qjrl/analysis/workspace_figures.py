@@ -90,11 +90,11 @@ def convergence(rows: Mapping[str, Sequence[Mapping[str, float]]], volumes: Mapp
         rows: label -> records with `samples` and the volume seen by each law [m^3].
         volumes: label -> estimate from all samples [m^3].
     """
-    figure, axes = new_plot("poses drawn [–]", "volume seen, of the estimate [%]")
+    figure, axes = new_plot("poses drawn [millions]", "volume seen, of the estimate [%]")
     for index, (label, records) in enumerate(rows.items()):
         for law, dashes in (("planar", "-"), ("spatial", (0, (4, 1.6)))):
             seen = [100.0 * record[law] / volumes[label] for record in records]
-            axes.plot([record["samples"] for record in records], seen, color=series_colour(index), linestyle=dashes,
+            axes.plot([record["samples"] / 1e6 for record in records], seen, color=series_colour(index), linestyle=dashes,
                       marker="o", markersize=3.5, label=label if law == "planar" else None)  # fmt: skip
     axes.plot([], [], color=LIGHT["muted"], label="solid: planar bends")
     axes.plot([], [], color=LIGHT["muted"], linestyle=(0, (4, 1.6)), label="dashed: spatial bends")
