@@ -20,6 +20,7 @@ def description_text(
         ("cables = motors", f"{kinematics['cables_and_motors']}, {kinematics['strands']} strands"),
         ("length", f"{1e3 * kinematics['length']:.0f} mm, bends up to {kinematics['bend_limit_deg']:.0f}° a joint"),
         ("reach of the tip", f"{1e3 * kinematics['largest_reach']:.0f} mm from the base"),
+        ("workspace radius", f"{1e3 * kinematics['workspace_radius']:.0f} mm from the base axis"),
         ("tip from home", f"{1e3 * kinematics['median_distance_from_home']:.0f} mm median, "
                           f"{1e3 * kinematics['largest_distance_from_home']:.0f} mm largest"),
         ("cable strokes [mm]", ", ".join(strokes)),

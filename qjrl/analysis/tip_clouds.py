@@ -9,14 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.robot import bends_from_angles
+from qjrl.robot.quaternion_arm.sampling import planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_pose, tip_position
 from qjrl.robot.verbs import Robot
 
 BATCH = 1 << 18
 """Poses drawn at once: small enough for the caches, large enough to hide the cost of a call."""
-
-_BEYOND = 1.2
-"""Planar angles are drawn up to this many limits and held at the limit: one in six lies on it, where the rim is."""
 
 
 def spatial_bends(robot: Robot, words: jax.Array) -> jax.Array:
@@ -28,15 +26,10 @@ def spatial_bends(robot: Robot, words: jax.Array) -> jax.Array:
     return bends_from_angles(2.0 * jnp.pi * low, robot.bend_limit * high)
 
 
-def planar_bends(robot: Robot, words: jax.Array) -> jax.Array:
-    """Bends (segments, 2) all in one plane through the base axis, whose azimuth is uniform; angles of both signs.
-
-    The boundary of what a symmetric arm reaches lies on planar poses, and a plane has half the dimensions: its cells
-    fill long before those of spatial bends.
-    """
+def one_plane_bends(robot: Robot, words: jax.Array) -> jax.Array:
+    """Bends (segments, 2) all in one plane of uniform azimuth, from one random word a segment: they find the boundary."""
     high, low = _halves(words)
-    angle = robot.bend_limit * jnp.clip(_BEYOND * (2.0 * high - 1.0), -1.0, 1.0)
-    return bends_from_angles(jnp.broadcast_to(2.0 * jnp.pi * low[0], angle.shape), angle)
+    return planar_bends(robot, high, 2.0 * jnp.pi * low[0])
 
 
 class Grid(Protocol):
@@ -55,7 +48,7 @@ class Grid(Protocol):
         ...
 
 
-LAWS: dict[str, Callable[[Robot, jax.Array], jax.Array]] = {"spatial": spatial_bends, "planar": planar_bends}
+LAWS: dict[str, Callable[[Robot, jax.Array], jax.Array]] = {"spatial": spatial_bends, "planar": one_plane_bends}
 
 
 def draw_tips(robot: Robot, law: str, key: jax.Array, count: int) -> np.ndarray:

@@ -10,7 +10,8 @@ import numpy as np
 from qjrl.config import Range
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, strand_lengths
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube, planar_bends
+from qjrl.robot.quaternion_arm.tip import tip_position
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
@@ -20,6 +21,8 @@ from qjrl.simulation.settling import SLACK_TENSION
 _NUM_KINEMATIC = 20_000
 # A loop whose mean strand length grows by more when bent [m] loads its strands by more than the pretension usually is.
 _MUCH_STRETCH = 0.002
+# Bend of a whole segment [deg] at which the lines through its ends meet nowhere (paper 000, Eqs. 4-7).
+_DIVERGENCE_DEG = 180.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +40,7 @@ def survey_kinematics(robot: Robot) -> dict[str, Any]:
     strokes = np.asarray(cable_strokes(robot))
     common = _common_parts(robot, bends)
     distance_home = np.linalg.norm(poses[:, :3] - np.asarray(home)[:3], axis=1)
+    tips = np.concatenate([poses[:, :3], _planar_tips(robot)])
     return {
         "name": robot.name,
         "joint_model": robot.joint_model,
@@ -49,7 +53,8 @@ def survey_kinematics(robot: Robot) -> dict[str, Any]:
         "bend_limit_deg": float(np.degrees(robot.bend_limit)),
         "cable_strokes": strokes.tolist(),
         "travel_times": (strokes / float(robot.motor_speed)).tolist(),
-        "largest_reach": float(np.linalg.norm(poses[:, :3], axis=1).max()),
+        "largest_reach": float(np.linalg.norm(tips, axis=1).max()),
+        "workspace_radius": float(np.linalg.norm(tips[:, :2], axis=1).max()),
         "largest_distance_from_home": float(distance_home.max()),
         "median_distance_from_home": float(np.median(distance_home)),
         "strand_common_part": [float(common.min()), float(common.max())],
@@ -84,14 +89,32 @@ def survey_physics(
 
 
 def warnings_about(robot: Robot, kinematics: dict[str, Any], physics: dict[str, Any]) -> list[str]:
-    """What a builder of this arm should know, one line each."""
-    config, lines = robot.config, []
+    """What a builder of this arm should know, one line each: first what the physics says, then the description alone."""
+    lines = []
     if physics["settled_share"] < 1.0:
         lines.append(
             f"{100 * (1 - physics['settled_share']):.1f} % of the poses never settle: more joint damping or stiffness"
         )
-    if physics["settled_share"] == 0.0:
-        return lines
+    if physics["settled_share"] > 0.0:
+        lines += _warnings_of_physics(robot, physics)
+    stretch = kinematics["strand_common_part"][1]
+    if stretch > _MUCH_STRETCH:
+        lines.append(
+            f"loops stretch by {1e3 * stretch:.1f} mm when bent: this joint's k and d do not suit one motor a loop"
+        )
+    limit = robot.config.joint.bend_limit_deg
+    for segment, num_joints in enumerate(robot.joints_per_segment, start=1):
+        if num_joints * limit >= _DIVERGENCE_DEG:
+            lines.append(
+                f"segment {segment} bends to {num_joints} x {limit:g} = {num_joints * limit:g} deg: FABRIK's virtual "
+                f"lengths diverge at {_DIVERGENCE_DEG:g} deg"
+            )
+    return lines
+
+
+def _warnings_of_physics(robot: Robot, physics: dict[str, Any]) -> list[str]:
+    """Of what has settled."""
+    config, lines = robot.config, []
     if physics["slack_share"] > 0.0:
         lines.append(f"{100 * physics['slack_share']:.1f} % of the strands are slack: more pretension, or a tensioner")
     if physics["tension"][2] > config.strands.strength:
@@ -104,11 +127,6 @@ def warnings_about(robot: Robot, kinematics: dict[str, Any], physics: dict[str, 
         )
     if physics["largest_bend_deg"] > config.joint.bend_limit_deg + 0.5 * config.joint.stop_margin_deg:
         lines.append(f"joints bend to {physics['largest_bend_deg']:.1f} deg under load: near the stop")
-    stretch = kinematics["strand_common_part"][1]
-    if stretch > _MUCH_STRETCH:
-        lines.append(
-            f"loops stretch by {1e3 * stretch:.1f} mm when bent: this joint's k and d do not suit one motor a loop"
-        )
     return lines
 
 
@@ -117,6 +135,13 @@ def _many_poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     numbers = jax.random.uniform(jax.random.key(0), (_NUM_KINEMATIC, 2 * robot.num_segments))
     bends = jax.vmap(lambda row: bends_from_unit_cube(robot, row))(numbers)
     return np.asarray(jax.jit(jax.vmap(lambda row: forward_kinematics(robot, row)))(bends)), np.asarray(bends)
+
+
+def _planar_tips(robot: Robot) -> np.ndarray:
+    """Tips (n, 3) [m] of bends in one plane, among which are the farthest."""
+    numbers = jax.random.uniform(jax.random.key(1), (_NUM_KINEMATIC, robot.num_segments))
+    azimuth = jnp.zeros(())
+    return np.asarray(jax.jit(jax.vmap(lambda row: tip_position(robot, planar_bends(robot, row, azimuth))))(numbers))
 
 
 def _common_parts(robot: Robot, bends: np.ndarray) -> np.ndarray:

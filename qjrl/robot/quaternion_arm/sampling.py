@@ -1,4 +1,4 @@
-"""Bends from uniform numbers: evenly over the feasible discs, evenly in angle, and at a distance from home."""
+"""Bends from uniform numbers: evenly over the feasible discs, evenly in angle, in one plane, and at a distance from home."""
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,8 @@ from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
 
 # Halvings of the scale of a direction in bend space: 1 / 2^40 of the limit.
 _BISECTIONS = 40
+# Planar angles are drawn up to this many limits.
+_BEYOND = 1.2
 
 
 def bends_from_unit_cube(arm: QuaternionArm, numbers: Float[Array, "bends"]) -> Float[Array, "segments 2"]:
@@ -25,6 +27,18 @@ def uniform_bends(arm: QuaternionArm, key: jax.Array) -> Float[Array, "segments 
     angle = jax.random.uniform(key_angle, (arm.num_segments,)) * arm.bend_limit
     direction = jax.random.uniform(key_direction, (arm.num_segments,)) * 2 * jnp.pi
     return bends_from_angles(direction, angle)
+
+
+def planar_bends(
+    arm: QuaternionArm, numbers: Float[Array, "segments"], azimuth: Float[Array, ""]
+) -> Float[Array, "segments 2"]:
+    """Bends all in the plane through the base axis at `azimuth` [rad], angles of both signs, from numbers in [0, 1).
+
+    The boundary of what a symmetric arm reaches lies on planar poses, so that they find it long before others do.
+    Angles are drawn up to 1.2 limits and held at the limit: one in six lies on it, where the rim is.
+    """
+    angle = arm.bend_limit * jnp.clip(_BEYOND * (2.0 * numbers - 1.0), -1.0, 1.0)
+    return bends_from_angles(jnp.broadcast_to(azimuth, angle.shape), angle)
 
 
 def bends_at_distance(arm: QuaternionArm, key: jax.Array, distance: Float[Array, ""]) -> Float[Array, "segments 2"]:
