@@ -9,12 +9,12 @@ import numpy as np
 
 from qjrl.config import Range
 from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_bends, target_poses
-from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import SettleResult, settle
+from qjrl.simulation.settling import settle
 from qjrl.solvers.adam import AdamConfig, solve_adam
 
 # Offsets of the run's seed, so that no target is drawn twice for different purposes.
@@ -65,7 +65,7 @@ def settle_answers(
     measured = {}
     for controller in ("nominal", "learned"):
         result = settle(robot, bank[f"{controller}_lengths"], config=simulation, advance=advance)
-        position, orientation = _errors(result, bank["target"])
+        position, orientation = row_errors(result.pose, bank["target"])
         measured |= {
             f"{controller}_pose": result.pose,
             f"{controller}_position_error": position,
@@ -83,9 +83,3 @@ def solve_both_sets(
     """`solve_target_set` for every set, one below the other."""
     banks = [solve_target_set(robot, model, config, name, count, seed, advance) for name in TARGET_SETS]
     return {name: np.concatenate([bank[name] for bank in banks]) for name in banks[0]}
-
-
-def _errors(result: SettleResult, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    poses = jnp.asarray(result.pose)
-    position = jax.vmap(position_error)(poses, jnp.asarray(targets))
-    return np.asarray(position), np.asarray(jax.vmap(orientation_error)(poses, jnp.asarray(targets)))

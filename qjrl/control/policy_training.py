@@ -11,12 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qjrl.artifacts import append_json_line
 from qjrl.config import ConfigError, Range
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, arrives_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.iteration import Record
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.learning.tensorboard import tensorboard
@@ -30,8 +32,9 @@ Arrays = Mapping[str, np.ndarray]
 _JUDGE_SEED = 3_000_003
 # ... and of the arms that it trains on: PPO's own keys are children of the run's seed, so would be theirs.
 _TRAINING_SEED = 5_000_003
-# Control steps over which the rate of bare batch stepping is measured.
-_BARE_STEPS = 40
+# Control steps over which the rate of bare batch stepping is measured, at every checkpoint.
+_BARE_STEPS = 10
+BARE_RATES = "bare_rates.jsonl"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,8 +60,6 @@ class TrainedPolicy:
     policy: Policy
     left_out: dict[str, int]
     """Target set -> targets of the bank whose base command the motors cannot ramp in in time."""
-    bare_steps_per_second: float
-    """Control steps a second of the same arms, physics alone."""
 
 
 def train_policy(
@@ -88,10 +89,12 @@ def train_policy(
     )
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     with ExitStack() as stack:
-        callbacks = [stack.enter_context(tensorboard(directory / "tensorboard"))] if config.tensorboard else []
+        callbacks = [_bare_rates(environment, directory / BARE_RATES)]
+        if config.tensorboard:
+            callbacks.append(stack.enter_context(tensorboard(directory / "tensorboard")))
         policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
     left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
-    return TrainedPolicy(policy, left_out, _bare_rate(environment))
+    return TrainedPolicy(policy, left_out)
 
 
 def bank_of(targets: Arrays, base: str, rows: np.ndarray) -> Bank:
@@ -115,10 +118,20 @@ def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     return medians | {"median_mm": float(np.median(millimetres[is_valid]))}
 
 
-def _bare_rate(environment: ResidualEnvironment) -> float:
-    """Control steps a second of the same randomised arms, without sensors, rewards or learning."""
-    environment.step_physics()
-    start = time.perf_counter()
-    for _ in range(_BARE_STEPS):
+def _bare_rates(environment: ResidualEnvironment, path: Path) -> Callable[[Record], None]:
+    """A callback that measures, at every checkpoint, control steps a second of the same randomised arms without sensors,
+    rewards or learning: between the iterations that it is compared with, as a machine's speed varies."""
+
+    def measure(record: Record) -> None:
+        if "evaluation/median_mm" not in record:
+            return
+        before = environment.get_state()
         environment.step_physics()
-    return _BARE_STEPS * environment.num_envs / (time.perf_counter() - start)
+        start = time.perf_counter()
+        for _ in range(_BARE_STEPS):
+            environment.step_physics()
+        rate = _BARE_STEPS * environment.num_envs / (time.perf_counter() - start)
+        environment.set_state(before)
+        append_json_line(path, {"env_steps": record["env_steps"], "bare_steps_per_second": rate})
+
+    return measure

@@ -1,7 +1,9 @@
 """The pose as 9 numbers: position [m], then the first and the second column of the rotation."""
 
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float
 
 from qjrl.geometry.rotations import geodesic_angle, orthonormalise, safe_norm
 
@@ -29,3 +31,16 @@ def position_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[
 def orientation_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[Array, ""]:
     """Geodesic angle between two orientations [rad]."""
     return geodesic_angle(rotation_of(pose), rotation_of(target))
+
+
+def row_errors(
+    poses: Float[ArrayLike, "n 9"], targets: Float[ArrayLike, "n 9"]
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    """Position [m] and orientation [rad] error of every row, on the host."""
+    position, orientation = _row_errors(jnp.asarray(poses), jnp.asarray(targets))
+    return np.asarray(position), np.asarray(orientation)
+
+
+@jax.jit
+def _row_errors(poses: jax.Array, targets: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return jax.vmap(position_error)(poses, targets), jax.vmap(orientation_error)(poses, targets)

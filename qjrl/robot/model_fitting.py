@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.geometry.pose import row_errors
 from qjrl.learning.fitting import fit
 from qjrl.robot.forward_model import (
     ForwardModel,
@@ -79,9 +79,8 @@ def evaluation(robot: Robot, form: str, data: Rows) -> Callable[[Any], dict[str,
 
 def pose_errors(poses: Any, truth: Any) -> dict[str, float]:
     """Quantiles of position error [mm] and orientation error [deg] over rows (n, 9)."""
-    errors = jax.jit(jax.vmap(lambda pose, other: (position_error(pose, other), orientation_error(pose, other))))
-    position, orientation = errors(jnp.asarray(poses), jnp.asarray(truth))
-    millimetres, degrees = 1e3 * np.asarray(position), np.degrees(np.asarray(orientation))
+    position, orientation = row_errors(poses, truth)
+    millimetres, degrees = 1e3 * position, np.degrees(orientation)
     return {
         "median_mm": float(np.median(millimetres)),
         "p90_mm": float(np.percentile(millimetres, 90)),

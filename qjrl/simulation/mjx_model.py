@@ -20,8 +20,8 @@ with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where th
 __all__ = ["MjxArm", "compile_batch", "load_arm", "mjx", "single_precision", "tip_pose"]
 
 # In a batch MJX runs as many iterations as its slowest arm wants, and a tolerance that float32 cannot meet makes that all
-# of them: few of both. C needs one iteration of Newton on this model.
-SOLVER_ITERATIONS, SOLVER_TOLERANCE = 3, 1e-6
+# of them: few of both. Equality rows alone take one; with friction of 3 N one joint ends 0.35 mm from C after 3, 0.03 after 12.
+SOLVER_ITERATIONS, FRICTION_ITERATIONS, SOLVER_TOLERANCE = 3, 12, 1e-6
 LINE_SEARCH_ITERATIONS = 12
 # On a CPU, XLA fuses the chain of bodies so that every link computes all links before it again, its time doubling with
 # each: 8 joints' kinematics took 100 s to compile and 4 s to run a row; without fusion 12 s and 0.3 ms.
@@ -57,8 +57,8 @@ def load_arm(robot: Robot, options: SolverOptions, strand_friction: float | None
         strand_friction: instead of the robot's [N]. MJX makes friction rows only where this is above 0 here.
     """
     host = mujoco.MjModel.from_xml_string(build_mjcf(robot, options))
-    host.opt.iterations, host.opt.ls_iterations = SOLVER_ITERATIONS, LINE_SEARCH_ITERATIONS
-    host.opt.tolerance = SOLVER_TOLERANCE
+    host.opt.iterations = SOLVER_ITERATIONS if strand_friction is None else FRICTION_ITERATIONS
+    host.opt.ls_iterations, host.opt.tolerance = LINE_SEARCH_ITERATIONS, SOLVER_TOLERANCE
     host.dof_solimp[:, :2] = host.tendon_solimp_fri[:, :2] = FRICTION_IMPEDANCE
     if strand_friction is not None:
         host.tendon_frictionloss[: robot.num_strands] = strand_friction

@@ -94,10 +94,12 @@ def trained(tmp_path_factory):
 def test_a_policy_is_trained_and_judged_on_targets_set_apart(trained):
     found, directory = trained
     assert found.left_out == {"uniform": 1, "near_home": 0}
-    assert found.bare_steps_per_second > 0
     records = load(directory / "progress.jsonl")
     judged = [record for record in records if "evaluation/median_mm" in record]
     assert [record["iteration"] for record in judged] == [0, 2, 4]
+    bare = load(directory / "bare_rates.jsonl")
+    assert [line["env_steps"] for line in bare] == [record["env_steps"] for record in judged]
+    assert all(line["bare_steps_per_second"] > 0 for line in bare)
     for record in judged:
         medians = [record[f"evaluation/{name}_median_mm"] for name in ("uniform", "near_home")]
         assert record["evaluation/median_mm"] == pytest.approx(np.mean(medians))  # one target of each
