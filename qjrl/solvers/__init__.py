@@ -1,6 +1,18 @@
-"""Inverse kinematics on any `lengths -> pose`, batched over targets."""
+"""Inverse kinematics, batched over targets: FABRIK and least squares on the closed form, Adam on any `lengths -> pose`."""
 
 from qjrl.solvers.adam import AdamConfig, solve_adam
+from qjrl.solvers.fabrik import FabrikConfig, solve_fabrik
+from qjrl.solvers.least_squares import LeastSquaresConfig, draw_candidates, solve_least_squares
 from qjrl.solvers.result import SolveResult, Status
 
-__all__ = ["AdamConfig", "SolveResult", "Status", "solve_adam"]
+__all__ = [
+    "AdamConfig",
+    "FabrikConfig",
+    "LeastSquaresConfig",
+    "SolveResult",
+    "Status",
+    "draw_candidates",
+    "solve_adam",
+    "solve_fabrik",
+    "solve_least_squares",
+]

@@ -66,6 +66,20 @@ def check_targets(targets) -> np.ndarray:
     return targets
 
 
+def check_initial_bends(robot: Robot, bends, count: int) -> np.ndarray:
+    """Bends to start from as float64 (count, segments, 2), from one row a target or one for all.
+
+    Raises:
+        ValueError: wrong shape, non-finite values, or |a| of 1 or more.
+    """
+    bends, expected = np.asarray(bends, np.float64), (robot.num_segments, 2)
+    if bends.shape not in (expected, (count, *expected)):
+        raise ValueError(f"initial_bends: got shape {bends.shape}, allowed: {expected} or {(count, *expected)}")
+    if not np.all(np.linalg.norm(bends, axis=-1) < 1.0):
+        raise ValueError("initial_bends: got non-finite values or a length of 1 or more, allowed: sin(theta/2) below 1")
+    return np.broadcast_to(bends, (count, *expected))
+
+
 def describe_solution(
     robot: Robot, pose_of: PoseFunction, targets: jax.Array, lengths: jax.Array, tolerances: tuple[float, float], steps
 ) -> SolveResult:

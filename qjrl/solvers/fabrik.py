@@ -1,0 +1,190 @@
+"""Inverse kinematics by FABRIK (paper 000, section 3): virtual model, inner iteration, outer iteration for the roll."""
+
+import dataclasses
+import functools
+import math
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+from qjrl.config import Range
+from qjrl.robot.forward_model import pose_function
+from qjrl.robot.verbs import Robot, cable_lengths
+from qjrl.solvers.batching import in_batches
+from qjrl.solvers.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
+from qjrl.solvers.fabrik_reach import Goal, goal_of, reach, tip_distance
+from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
+
+
+@dataclasses.dataclass(frozen=True)
+class FabrikConfig:
+    """Iterations and tolerances; the paper prints the tolerances alone (section 5.2), the rest is ours."""
+
+    relaxation: Annotated[float, Range(above=0.0, high=10.0)] = 1.0
+    """lambda of Eq. 14: what part of the roll error an outer iteration turns the arm by."""
+    inner_iterations: Annotated[int, Range(1, 10_000)] = 10
+    """Forward and backward stages of one outer iteration, at most."""
+    outer_iterations: Annotated[int, Range(1, 100_000)] = 400
+    """Turns of the whole arm, at most."""
+    patience: Annotated[int, Range(1, 10_000)] = 20
+    """Outer iterations after which progress is looked at."""
+    reversal: Annotated[float, Range(0.0, 1.0)] = 0.0
+    """The turn changes its sign when the roll error fell by less than this share since the last look; 0: never (the paper)."""
+    position_tolerance: Annotated[float, Range(above=0.0)] = 1e-5
+    """Position error that counts as converged [m]."""
+    orientation_tolerance: Annotated[float, Range(above=0.0)] = math.radians(0.01)
+    """Orientation error that counts as converged [rad]; the pointing direction holds exactly, so it is the roll's."""
+    batch_size: Annotated[int, Range(1, 65536)] = 64
+    """Targets solved together."""
+
+
+def solve_fabrik(
+    robot: Robot, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+) -> SolveResult:
+    """Cable lengths by FABRIK from the current state, in the arm's nominal kinematics.
+
+    Joint limits are not part of the algorithm: an answer beyond them comes back as not converged, OUTSIDE_LIMITS.
+
+    Args:
+        robot: the arm.
+        targets: (n, 9) poses [m, -].
+        initial_bends: the current state q_0, (n, segments, 2) or (segments, 2); default: home.
+        config: iterations, relaxation, tolerances.
+    Returns:
+        `steps` counts inner iterations.
+    Raises:
+        ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
+    """
+    checked = check_targets(targets)
+    home = np.zeros((robot.num_segments, 2))
+    bends = check_initial_bends(robot, home if initial_bends is None else initial_bends, len(checked))
+    function = functools.partial(_solve_rows, config, robot)
+    return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, bends))
+
+
+@struct.dataclass
+class Progress:
+    """State between outer iterations, of one target or of a batch."""
+
+    arm: VirtualArm
+    relaxation: Float[Array, "*targets"]
+    """lambda, with the sign of the present turn."""
+    roll_before: Float[Array, "*targets"]
+    """Roll error at the last look [rad]."""
+    joints_before: Float[Array, "*targets segments 3"]
+    """P_j at the last look [m]."""
+    turns: Int[Array, "*targets"]
+    """Outer iterations spent."""
+    steps: Int[Array, "*targets"]
+    """Inner iterations spent."""
+    is_near: Bool[Array, "*targets"]
+    has_stalled: Bool[Array, "*targets"]
+    """At the last look the arm was where it had been at the one before."""
+
+
+def solve_one(
+    robot: Robot, config: FabrikConfig, target: Float[Array, "9"], bends: Float[Array, "segments 2"]
+) -> Progress:
+    """The outer iteration, until the pose is reached, nothing moves, or the iterations are spent."""
+    goal = goal_of(target)
+
+    def is_going(state: Progress) -> jax.Array:
+        gives_up = state.has_stalled if config.reversal == 0.0 else jnp.zeros((), bool)
+        return (state.turns < config.outer_iterations) & ~state.is_near & ~gives_up
+
+    return jax.lax.while_loop(
+        is_going, lambda state: _iterate(robot, config, goal, state), _begin(robot, config, bends)
+    )
+
+
+def roll_error(robot: Robot, arm: VirtualArm, goal: Goal) -> Float[Array, ""]:
+    """psi between X_end and X_d [rad]: Eq. 13, with the sign of the turn about Z_d that closes it (ours)."""
+    x_end = tip_x_axis(robot, state_of(robot, arm))
+    return jnp.sign(jnp.dot(goal.z_axis, jnp.cross(x_end, goal.x_axis))) * angle_between(x_end, goal.x_axis)
+
+
+def rodrigues(axis: Float[Array, "3"], angle: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """Rotation about a unit axis, Eq. 14: I + sin(lambda psi) A + (1 - cos(lambda psi)) A^2."""
+    skew = jnp.cross(axis, jnp.eye(3, dtype=axis.dtype)).T
+    return jnp.eye(3, dtype=axis.dtype) + jnp.sin(angle) * skew + (1.0 - jnp.cos(angle)) * skew @ skew
+
+
+def turn_about_goal(arm: VirtualArm, goal: Goal, angle: Float[Array, ""]) -> VirtualArm:
+    """The whole arm turned about Z_d through P_d, Eq. 15; its directions turn along."""
+    rotation = rodrigues(goal.z_axis, angle)
+    turned = lambda points: goal.position + (points - goal.position) @ rotation.T  # noqa: E731
+    return dataclasses.replace(
+        arm,
+        bases=turned(arm.bases),
+        joints=turned(arm.joints),
+        ends=turned(arm.ends),
+        base_directions=arm.base_directions @ rotation.T,
+        end_directions=arm.end_directions @ rotation.T,
+    )
+
+
+def _begin(robot: Robot, config: FabrikConfig, bends: jax.Array) -> Progress:
+    none, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+    relaxation = jnp.asarray(config.relaxation, bends.dtype)
+    arm = virtual_arm(robot, bends)
+    return Progress(arm, relaxation, jnp.full_like(relaxation, jnp.inf), arm.joints, zero, zero, none, none)
+
+
+def _iterate(robot: Robot, config: FabrikConfig, goal: Goal, state: Progress) -> Progress:
+    """One outer iteration: reach the goal's position and direction, then turn by lambda psi what is not yet there."""
+    arm, steps = reach(robot, state.arm, goal, _MARGIN * config.position_tolerance, config.inner_iterations)
+    roll = roll_error(robot, arm, goal)
+    is_near = (tip_distance(arm, goal) <= _MARGIN * config.position_tolerance) & (
+        jnp.abs(roll) <= _MARGIN * config.orientation_tolerance
+    )
+    state = _look(config, state, arm, jnp.abs(roll))
+    turned = turn_about_goal(arm, goal, state.relaxation * roll)
+    return dataclasses.replace(
+        state,
+        arm=jax.tree.map(lambda ends, goes_on: jnp.where(is_near, ends, goes_on), arm, turned),
+        turns=state.turns + 1,
+        steps=state.steps + steps,
+        is_near=is_near,
+    )
+
+
+def _look(config: FabrikConfig, state: Progress, arm: VirtualArm, roll: jax.Array) -> Progress:
+    """Every `patience` turns: has it stalled, and does it turn the wrong way?"""
+    is_time = (state.turns + 1) % config.patience == 0
+    is_reversed = is_time & (roll > (1.0 - config.reversal) * state.roll_before) & (config.reversal > 0.0)
+    moved = jnp.max(jnp.abs(arm.joints - state.joints_before))
+    return dataclasses.replace(
+        state,
+        relaxation=jnp.where(is_reversed, -state.relaxation, state.relaxation),
+        roll_before=jnp.where(is_time, roll, state.roll_before),
+        joints_before=jnp.where(is_time, arm.joints, state.joints_before),
+        has_stalled=jnp.where(is_time, moved < _STALLED * config.position_tolerance, state.has_stalled),
+    )
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _solve_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, bends: jax.Array) -> SolveResult:
+    ends = jax.vmap(lambda target, start: solve_one(robot, config, target, start))(targets, bends)
+    states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
+    lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
+    tolerances = (config.position_tolerance, config.orientation_tolerance)
+    result = describe_solution(robot, pose_function(robot, None), targets, lengths, tolerances, ends.steps)
+    has_stalled = (result.status == Status.ITERATION_LIMIT) & ends.has_stalled
+    return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
+
+
+def _anchored_state(robot: Robot, end: Progress, target: jax.Array) -> jax.Array:
+    """Bends of the end; where it was just turned once more, the arm is put back on its base by one more reach."""
+    goal = goal_of(target)
+    anchored, _ = reach(robot, end.arm, goal, 0.0, 1)
+    return state_of(robot, jax.tree.map(lambda a, b: jnp.where(end.is_near, a, b), end.arm, anchored))
+
+
+# Errors must be this part of the tolerances inside, so that the answer holds when it is recomputed.
+_MARGIN = 0.9
+# An arm that moves less than this part of the tolerance in `patience` outer iterations never gets there.
+_STALLED = 0.01

@@ -1,0 +1,230 @@
+"""Inverse kinematics by damped least squares from several starts: few for easy targets, many for hard ones."""
+
+import dataclasses
+import functools
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Array, Float
+
+from qjrl.config import Range
+from qjrl.robot.forward_model import pose_function
+from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
+from qjrl.robot.quaternion_arm.sampling import uniform_bends
+from qjrl.robot.verbs import Robot, cable_lengths
+from qjrl.solvers.batching import in_batches
+from qjrl.solvers.levenberg_marquardt import DescentConfig, descend
+from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
+
+
+@dataclasses.dataclass(frozen=True)
+class RoundConfig:
+    """What every target that is not solved yet gets next."""
+
+    num_starts: Annotated[int, Range(1, 1024)]
+    """Descents of a target, side by side."""
+    iterations: Annotated[int, Range(1, 10_000)]
+    """Steps of each at most."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LeastSquaresConfig:
+    """Solver settings; ours."""
+
+    descent: DescentConfig = DescentConfig()
+    """Weights, damping, tolerances."""
+    rounds: tuple[RoundConfig, ...] = (
+        RoundConfig(1, 10),
+        RoundConfig(4, 25),
+        RoundConfig(16, 50),
+        RoundConfig(64, 100),
+    )
+    """The next only for targets that the ones before have not solved; the best so far goes on as one of the starts."""
+    num_candidates: Annotated[int, Range(1, 100_000)] = 4096
+    """Random poses; the starts of a target are the nearest of them."""
+    batch_size: Annotated[int, Range(1, 65536)] = 512
+    """Descents compiled together."""
+
+    def __post_init__(self):
+        if not self.rounds:
+            raise ValueError("rounds: got [], allowed: at least one round")
+
+
+@struct.dataclass
+class Candidates:
+    """Poses to start from."""
+
+    vectors: np.ndarray
+    """(candidates, segments, 2) bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
+    features: np.ndarray
+    """(candidates, 9) their poses scaled so that squared distances compare like squared weighted errors [m]."""
+
+
+def solve_least_squares(
+    robot: Robot,
+    targets: Any,
+    initial_bends: Any = None,
+    config: LeastSquaresConfig = LeastSquaresConfig(),
+    candidates: Candidates | None = None,
+) -> SolveResult:
+    """Cable lengths whose nominal pose is nearest to each target, joint limits kept.
+
+    Args:
+        robot: the arm.
+        targets: (n, 9) poses [m, -].
+        initial_bends: (n, segments, 2) or (segments, 2) to start from first, such as another solver's answer or a
+            neighbour's; default: the nearest candidate.
+        config: rounds of starts, tolerances.
+        candidates: from `draw_candidates`, to be drawn once where many calls follow; default: drawn here.
+    Raises:
+        ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
+    """
+    checked = check_targets(targets)
+    candidates = candidates or draw_candidates(robot, config)
+    best = _nothing_found(robot, len(checked))
+    if initial_bends is not None:
+        best = dataclasses.replace(best, vectors=_vectors_of(check_initial_bends(robot, initial_bends, len(checked))))
+    for number, one_round in enumerate(config.rounds):
+        rows = np.flatnonzero(best.status != Status.CONVERGED)
+        if len(rows) == 0:
+            break
+        is_begun = number > 0 or initial_bends is not None
+        starts = _starts(config, candidates, best.vectors[rows], checked[rows], number, is_begun)
+        best = _keep_better(best, rows, _descend(robot, config, starts, checked[rows], one_round.iterations))
+    return _judge(robot, config, checked, best)
+
+
+def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfig(), seed: int = 0) -> Candidates:
+    """Poses all over the workspace for targets to start from: theta and phi uniform."""
+    bends, poses = _random_poses(robot, jax.random.key(seed), config.num_candidates)
+    return Candidates(_vectors_of(np.asarray(bends)), _features(config, np.asarray(poses)))
+
+
+@struct.dataclass
+class _Best:
+    """The best end of every target so far; numpy."""
+
+    vectors: Any  # (n, segments, 2) [rad]
+    cost: Any  # (n,) [m^2]
+    status: Any  # (n,)
+    steps: Any  # (n,) iterations over all descents
+
+
+def _nothing_found(robot: Robot, count: int) -> _Best:
+    return _Best(
+        np.zeros((count, robot.num_segments, 2)),
+        np.full(count, np.inf),
+        np.full(count, int(Status.ITERATION_LIMIT)),
+        np.zeros(count, int),
+    )
+
+
+def _starts(
+    config: LeastSquaresConfig, candidates: Candidates, begun: np.ndarray, targets: np.ndarray, number: int, is_begun
+) -> np.ndarray:
+    """Starts (rows, starts, segments, 2) of a round: what was begun, then the nearest candidates not used yet."""
+    counts = [one_round.num_starts for one_round in config.rounds]
+    used, fresh = sum(counts[:number]), counts[number] - bool(is_begun)
+    drawn = candidates.vectors[_nearest(config, candidates, targets, used, fresh)]
+    return np.concatenate([begun[:, None], drawn], axis=1) if is_begun else drawn
+
+
+def _nearest(config: LeastSquaresConfig, candidates: Candidates, targets: np.ndarray, used: int, count: int):
+    """The candidates that rank `used` ... `used + count` by distance to each target, (rows, count)."""
+    chosen = np.empty((len(targets), count), int)
+    ranks = (used + np.arange(count)) % len(candidates.features)
+    half_squares = 0.5 * np.sum(candidates.features**2, axis=1)
+    for start in range(0, len(targets) if count else 0, _RANKED_TOGETHER):
+        rows = slice(start, start + _RANKED_TOGETHER)
+        distances = half_squares - _features(config, targets[rows]) @ candidates.features.T
+        if count == 1 and used == 0:
+            chosen[rows] = np.argmin(distances, axis=1)[:, None]
+        else:
+            chosen[rows] = np.argsort(distances, axis=1)[:, ranks]
+    return chosen
+
+
+def _features(config: LeastSquaresConfig, poses: np.ndarray) -> np.ndarray:
+    """Frames an angle e apart differ by e in their columns, so these differ by the weighted error; single precision."""
+    return np.concatenate([poses[:, :3], config.descent.rotation_weight * poses[:, 3:]], axis=1).astype(np.float32)
+
+
+@struct.dataclass
+class _Ends:
+    """Ends of all descents, one row each."""
+
+    vectors: Any
+    cost: Any
+    status: Any
+    steps: Any
+
+
+def _descend(robot: Robot, config: LeastSquaresConfig, starts: np.ndarray, targets: np.ndarray, iterations: int):
+    """The ends (rows, starts) of all descents of a round."""
+    shape = starts.shape[:2]
+    function = functools.partial(_descend_rows, config.descent, robot, np.int32(iterations))
+    ends = in_batches(
+        function, config.batch_size, starts.reshape(-1, *starts.shape[2:]), np.repeat(targets, shape[1], axis=0)
+    )
+    return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), ends)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _descend_rows(config: DescentConfig, robot: Robot, iterations, starts, targets) -> _Ends:
+    state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations)
+    status = jnp.where(state.has_stalled, int(Status.STALLED), int(Status.ITERATION_LIMIT))
+    status = jnp.where(state.is_near, int(Status.CONVERGED), status)
+    return _Ends(jnp.moveaxis(state.vectors, -1, 0), state.residual.cost, status, state.steps)
+
+
+def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:
+    """The nearest end of each row, where it is nearer than what was known."""
+    winner = np.argmin(ends.cost, axis=1)
+    won = jax.tree.map(lambda value: value[np.arange(len(rows)), winner], ends)
+    is_better = won.cost <= best.cost[rows]
+    kept = {name: getattr(best, name).copy() for name in ("vectors", "cost", "status", "steps")}
+    for name in ("vectors", "cost", "status"):
+        kept[name][rows[is_better]] = getattr(won, name)[is_better]
+    kept["steps"][rows] += ends.steps.sum(axis=1)
+    return _Best(**kept)
+
+
+def _judge(robot: Robot, config: LeastSquaresConfig, targets: np.ndarray, best: _Best) -> SolveResult:
+    """The result, its errors recomputed by forward kinematics."""
+    function = functools.partial(_judge_rows, config.descent, robot)
+    result = in_batches(function, config.batch_size, targets, best.vectors, best.steps, best.status)
+    return jax.tree.map(jnp.asarray, result)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _judge_rows(config: DescentConfig, robot: Robot, targets, vectors, steps, ended) -> SolveResult:
+    lengths = jax.vmap(lambda rows: cable_lengths(robot, jax.vmap(_bend_of)(rows)))(vectors)
+    tolerances = (config.position_tolerance, config.orientation_tolerance)
+    result = describe_solution(robot, pose_function(robot, None), targets, lengths, tolerances, steps)
+    has_stalled = (result.status == Status.ITERATION_LIMIT) & (ended == Status.STALLED)
+    return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
+
+
+def _bend_of(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+    """sin(theta/2) (cos phi, sin phi) of a bend vector; sinc keeps it regular at 0."""
+    angle = jnp.sqrt(jnp.sum(vector**2))
+    return 0.5 * jnp.sinc(angle / (2.0 * jnp.pi)) * vector
+
+
+def _vectors_of(bends: np.ndarray) -> np.ndarray:
+    """Bend vectors theta (cos phi, sin phi) of bends sin(theta/2) (cos phi, sin phi), (..., 2)."""
+    sine = np.linalg.norm(bends, axis=-1, keepdims=True)
+    return bends * np.asarray(np.where(sine < 1e-8, 2.0, 2.0 * np.arcsin(sine) / np.maximum(sine, 1e-8)))
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _random_poses(robot: Robot, key: jax.Array, count: int):
+    bends = jax.vmap(lambda one: uniform_bends(robot, one))(jax.random.split(key, count))
+    return bends, jax.vmap(lambda one: forward_kinematics(robot, one))(bends)
+
+
+# Targets whose distances to all candidates fit into a core's cache.
+_RANKED_TOGETHER = 64

@@ -1,0 +1,225 @@
+"""Damped least squares on the closed-form arm, many starts side by side: residual, step, acceptance, end.
+
+Components come first and lanes, one a start, last (see `qjrl.robot.quaternion_arm.differential`).
+"""
+
+import dataclasses
+import math
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+from jaxtyping import Array, Bool, Float, Int
+
+from qjrl.config import Range
+from qjrl.robot.quaternion_arm.differential import tip_of
+from qjrl.robot.verbs import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class DescentConfig:
+    """One descent from one start; all values ours."""
+
+    rotation_weight: Annotated[float, Range(above=0.0)] = 0.1
+    """What a rotation error counts against a position error [m/rad]."""
+    damping: Annotated[float, Range(above=0.0)] = 1e-2
+    """At the start, times the trace of J^T J."""
+    damping_decrease: Annotated[float, Range(above=0.0, below=1.0)] = 0.2
+    """Factor after a step that lowers the cost."""
+    damping_increase: Annotated[float, Range(above=1.0)] = 4.0
+    """Factor after a step that does not; the step is taken back."""
+    largest_step: Annotated[float, Range(above=0.0)] = 1.0
+    """Bound of a step over all bend vectors [rad]."""
+    shortest_step: Annotated[float, Range(above=0.0)] = 1e-7
+    """A descent whose step is shorter has stalled [rad]."""
+    position_tolerance: Annotated[float, Range(above=0.0)] = 1e-5
+    """Position error that counts as converged [m] (paper 000, section 5.2)."""
+    orientation_tolerance: Annotated[float, Range(above=0.0)] = math.radians(0.01)
+    """Orientation error that counts as converged [rad] (the paper judges the roll alone)."""
+
+
+@struct.dataclass
+class Residual:
+    """Weighted error of a pose and its derivative: to first order, a step d leaves `error` - `jacobian` d."""
+
+    error: Float[Array, "6 lanes"]
+    """Position [m], then the rotation vector from the pose to the target, weighted [m]."""
+    jacobian: Float[Array, "6 coordinates lanes"]
+    """Of the pose, rows weighted alike [m/rad]."""
+
+    @property
+    def cost(self) -> Float[Array, "lanes"]:
+        """Squared weighted error [m^2]."""
+        return jnp.sum(self.error**2, axis=0)
+
+
+@struct.dataclass
+class Descent:
+    """Where every lane stands."""
+
+    vectors: Float[Array, "segments 2 lanes"]
+    """Bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
+    residual: Residual
+    damping: Float[Array, "lanes"]
+    steps: Int[Array, "lanes"]
+    """Iterations spent."""
+    is_near: Bool[Array, "lanes"]
+    """At the target."""
+    has_stalled: Bool[Array, "lanes"]
+    """Not at the target, and its steps have become too short to get there."""
+
+    @property
+    def is_going(self) -> Bool[Array, "lanes"]:
+        """Whether another step may help."""
+        return ~(self.is_near | self.has_stalled)
+
+
+def descend(
+    robot: Robot,
+    config: DescentConfig,
+    starts: Float[Array, "segments 2 lanes"],
+    targets: Float[Array, "9 lanes"],
+    iterations: Int[Array, ""],
+) -> Descent:
+    """Levenberg-Marquardt from every start until all lanes are near or stalled, or for `iterations`."""
+
+    def is_unfinished(carry) -> jax.Array:
+        number, state = carry
+        return (number < iterations) & jnp.any(state.is_going)
+
+    def advance(carry):
+        number, state = carry
+        return number + 1, _iterate(robot, config, targets, state)
+
+    state = _begin(robot, config, within_limit(robot, starts), targets)
+    return jax.lax.while_loop(is_unfinished, advance, (jnp.zeros_like(iterations), state))[1]
+
+
+def residual_of(
+    robot: Robot, weight: float, vectors: Float[Array, "segments 2 lanes"], targets: Float[Array, "9 lanes"]
+) -> Residual:
+    """Error and Jacobian of the tip; the rotation error is the logarithm on SO(3), weighted [m/rad]."""
+    tip = tip_of(robot, vectors)
+    x, y = targets[3:6], targets[6:9]
+    turn = _rotation_vector(tip.rotation, jnp.stack([x, y, jnp.cross(x, y, axis=0)], axis=1))
+    return Residual(
+        jnp.concatenate([targets[:3] - tip.position, weight * turn]),
+        jnp.concatenate([tip.velocity, weight * tip.angular_velocity]),
+    )
+
+
+def damped_step(
+    residual: Residual, damping: Float[Array, "lanes"], largest: float
+) -> Float[Array, "coordinates lanes"]:
+    """The step J^T (J J^T + mu tr(J J^T) I)^-1 e, equal to (J^T J + mu tr I)^-1 J^T e, capped in length [rad].
+
+    The first form is 6 x 6 whatever the number of segments.
+    """
+    normal = jnp.sum(residual.jacobian[:, None] * residual.jacobian[None], axis=2)  # J J^T, (6, 6, lanes)
+    scaled_damping = damping * sum(normal[i, i] for i in range(6))
+    step = jnp.sum(residual.jacobian * _solve(normal, scaled_damping, residual.error)[:, None], axis=0)
+    return step * jnp.minimum(1.0, largest / jnp.maximum(jnp.sqrt(jnp.sum(step**2, axis=0)), largest))
+
+
+def within_limit(robot: Robot, vectors: Float[Array, "segments 2 lanes"]) -> Float[Array, "segments 2 lanes"]:
+    """Bend vectors with each theta shortened to the bend limit."""
+    limit = robot.bend_limit.astype(vectors.dtype)
+    angle = jnp.sqrt(jnp.maximum(jnp.sum(vectors**2, axis=1, keepdims=True), limit**2))
+    return vectors * (limit / angle)
+
+
+def _begin(robot: Robot, config: DescentConfig, vectors: jax.Array, targets: jax.Array) -> Descent:
+    residual = residual_of(robot, config.rotation_weight, vectors, targets)
+    lanes = vectors.shape[-1:]
+    return Descent(
+        vectors,
+        residual,
+        jnp.full(lanes, config.damping, vectors.dtype),
+        jnp.zeros(lanes, jnp.int32),
+        _is_near(config, residual),
+        jnp.zeros(lanes, bool),
+    )
+
+
+def _iterate(robot: Robot, config: DescentConfig, targets: jax.Array, state: Descent) -> Descent:
+    """One step of every lane that is going; taken back where it does not lower the cost."""
+    held = _hold_at_limit(robot, state.vectors, state.residual)
+    step = damped_step(held, state.damping, config.largest_step)
+    vectors = within_limit(robot, state.vectors + step.reshape(state.vectors.shape))
+    residual = residual_of(robot, config.rotation_weight, vectors, targets)
+    is_better = (residual.cost < state.residual.cost) & state.is_going
+    pick = lambda new, old: jnp.where(is_better, new, old)  # noqa: E731
+    moved = jnp.sqrt(jnp.sum((vectors - state.vectors) ** 2, axis=(0, 1)))
+    residual = jax.tree.map(pick, residual, state.residual)
+    is_near = _is_near(config, residual)
+    return Descent(
+        pick(vectors, state.vectors),
+        residual,
+        state.damping * jnp.where(is_better, config.damping_decrease, config.damping_increase),
+        state.steps + state.is_going,
+        is_near,
+        state.has_stalled | (state.is_going & ~is_near & (moved < config.shortest_step)),
+    )
+
+
+def _hold_at_limit(robot: Robot, vectors: jax.Array, residual: Residual) -> Residual:
+    """Takes out of the Jacobian what would bend a joint at its limit further (gradient projection).
+
+    Clipping alone spends the step outward and stops short of the best point on the limit.
+    """
+    flat = residual.jacobian.reshape(6, *vectors.shape)  # (6, segments, 2, lanes)
+    gradient = jnp.sum(flat * residual.error[:, None, None], axis=0)
+    squared = jnp.sum(vectors**2, axis=1)
+    is_held = (squared >= (robot.bend_limit * _AT_LIMIT) ** 2) & (jnp.sum(gradient * vectors, axis=1) > 0)
+    outward = (
+        vectors * jnp.where(is_held, 1.0 / jnp.maximum(squared, (robot.bend_limit * _AT_LIMIT) ** 2), 0.0)[:, None]
+    )
+    radial = jnp.sum(flat * vectors, axis=2, keepdims=True)  # (6, segments, 1, lanes)
+    return dataclasses.replace(residual, jacobian=(flat - radial * outward).reshape(residual.jacobian.shape))
+
+
+def _is_near(config: DescentConfig, residual: Residual) -> jax.Array:
+    position = jnp.sum(residual.error[:3] ** 2, axis=0)
+    turn = jnp.sum(residual.error[3:] ** 2, axis=0)
+    return (position <= (_MARGIN * config.position_tolerance) ** 2) & (
+        turn <= (_MARGIN * config.rotation_weight * config.orientation_tolerance) ** 2
+    )
+
+
+def _rotation_vector(rotation: jax.Array, target: jax.Array) -> jax.Array:
+    """Logarithm of target rotation^T: axis times angle in the base frame, (3, lanes) [rad]."""
+    relative = jnp.sum(target[:, None] * rotation[None], axis=2)
+    sine_axis = 0.5 * jnp.stack(
+        [relative[2, 1] - relative[1, 2], relative[0, 2] - relative[2, 0], relative[1, 0] - relative[0, 1]]
+    )
+    squared = jnp.sum(sine_axis**2, axis=0)
+    is_straight = squared < _TINY  # angle near 0, where angle / sine is 1, or near 180 degrees, where no axis is known
+    sine = jnp.sqrt(jnp.where(is_straight, 1.0, squared))
+    cosine = 0.5 * (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1.0)
+    return sine_axis * jnp.where(is_straight, 1.0, jnp.arctan2(sine, cosine) / sine)
+
+
+def _solve(matrix: jax.Array, damping: jax.Array, right: jax.Array) -> jax.Array:
+    """(matrix + damping I)^-1 right by Cholesky, written out: lanes side by side instead of one LAPACK call each."""
+    size = len(right)
+    lower, inverse = [[jnp.zeros_like(damping)] * size for _ in range(size)], []
+    for j in range(size):
+        inverse.append(jax.lax.rsqrt(matrix[j, j] + damping - sum(lower[j][k] ** 2 for k in range(j))))
+        for i in range(j + 1, size):
+            lower[i][j] = (matrix[i, j] - sum(lower[i][k] * lower[j][k] for k in range(j))) * inverse[j]
+    forward = []
+    for i in range(size):
+        forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) * inverse[i])
+    back = [right[0]] * size
+    for i in reversed(range(size)):
+        back[i] = (forward[i] - sum(lower[k][i] * back[k] for k in range(i + 1, size))) * inverse[i]
+    return jnp.stack(back)
+
+
+# A descent goes on until its errors are this part of the tolerances: the answer holds when it is recomputed.
+_MARGIN = 0.1
+# A joint this close to its limit counts as at it: clipping leaves it there to rounding.
+_AT_LIMIT = 1.0 - 1e-6
+# Squared sine of 1e-6 rad.
+_TINY = 1e-12

@@ -1,0 +1,114 @@
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from arms import arm_named
+from poses import assert_sound, reachable, turned, turned_bends, unreachable
+
+from qjrl.robot import forward_kinematics
+from qjrl.solvers import LeastSquaresConfig, Status, draw_candidates, solve_least_squares
+from qjrl.solvers.least_squares import RoundConfig
+from qjrl.solvers.levenberg_marquardt import Residual, damped_step, within_limit
+
+ARM = arm_named("qj_2222")
+CONFIG = LeastSquaresConfig(num_candidates=1024, batch_size=16)
+ONE_START = dataclasses.replace(CONFIG, rounds=(RoundConfig(1, 60),))
+CANDIDATES = draw_candidates(ARM, CONFIG)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    targets = reachable(ARM, 48)
+    return targets, solve_least_squares(ARM, targets, config=CONFIG, candidates=CANDIDATES)
+
+
+def test_all_targets_within_the_limits_are_reached(solved):
+    targets, result = solved
+    assert_sound(ARM, result, targets)
+    assert np.all(result.converged)
+
+
+def test_no_joint_leaves_its_limit(solved):
+    _, result = solved
+    angle = 2.0 * np.arcsin(np.linalg.norm(result.bends, axis=-1))
+    assert angle.max() <= float(ARM.bend_limit) + 1e-12
+
+
+def test_rows_do_not_depend_on_their_neighbours_or_on_padding(solved):
+    targets, result = solved
+    alone = solve_least_squares(ARM, targets[5:8], config=CONFIG, candidates=CANDIDATES)
+    np.testing.assert_array_equal(alone.cable_lengths, np.asarray(result.cable_lengths)[5:8])
+    np.testing.assert_array_equal(alone.steps, np.asarray(result.steps)[5:8])
+
+
+def test_a_start_nearby_needs_fewer_iterations(solved):
+    targets, cold = solved
+    warm = solve_least_squares(ARM, targets, np.asarray(cold.bends) * 0.999, CONFIG, CANDIDATES)
+    assert np.all(warm.converged)
+    assert np.mean(warm.steps) < 0.6 * np.mean(cold.steps)
+
+
+def test_turning_a_target_about_the_base_turns_the_answer(solved):
+    targets, _ = solved
+    home = np.zeros((4, 2))
+    first = solve_least_squares(ARM, targets[:16], home, ONE_START, CANDIDATES)
+    again = solve_least_squares(ARM, turned(targets[:16], 2.0), home, ONE_START, CANDIDATES)
+    rows = np.asarray(first.converged)
+    assert rows.mean() > 0.6
+    np.testing.assert_array_equal(again.steps, first.steps)
+    np.testing.assert_allclose(np.asarray(again.bends)[rows], turned_bends(first.bends, 2.0)[rows], atol=1e-9)
+
+
+def test_unreachable_targets_come_back_not_converged_with_the_nearest_pose_found():
+    targets = unreachable(ARM)
+    result = solve_least_squares(ARM, targets, config=CONFIG, candidates=CANDIDATES)
+    assert_sound(ARM, result, targets)
+    assert np.all(np.asarray(result.status) != Status.CONVERGED)
+    bent = np.linalg.norm(result.bends[0], axis=-1)
+    assert bent.max() < np.sin(0.5)  # nearly straight towards what lies 5 m above
+    home_error = np.linalg.norm(np.asarray(forward_kinematics(ARM, jnp.zeros((4, 2))))[:3] - targets[:, :3], axis=1)
+    assert np.all(np.asarray(result.position_error) < home_error + 0.3)
+
+
+def test_the_step_solves_the_damped_normal_equations():
+    random = np.random.default_rng(0)
+    jacobian, error, damping = random.normal(size=(6, 8, 5)), random.normal(size=(6, 5)), random.uniform(0.01, 1, 5)
+    step = damped_step(Residual(jnp.asarray(error), jnp.asarray(jacobian)), jnp.asarray(damping), 1e9)
+    for lane in range(5):
+        J = jacobian[..., lane]
+        normal = J.T @ J + damping[lane] * np.sum(J**2) * np.eye(8)
+        np.testing.assert_allclose(step[:, lane], np.linalg.solve(normal, J.T @ error[:, lane]), rtol=1e-10)
+
+
+def test_a_step_is_shortened_to_its_bound():
+    residual = Residual(jnp.full((6, 1), 1e3), jnp.asarray(np.random.default_rng(0).normal(size=(6, 8, 1))))
+    assert np.linalg.norm(damped_step(residual, jnp.array([1e-3]), 1.0)) == pytest.approx(1.0)
+
+
+def test_clipping_shortens_what_is_too_long_and_nothing_else():
+    vectors = jnp.array([[[0.3, 0.0, 3.0]], [[0.4, 0.0, 4.0]]]).transpose(1, 0, 2)  # lengths 0.5, 0, 5
+    limited = np.asarray(jax.jit(lambda v: within_limit(ARM, v))(jnp.tile(vectors, (4, 1, 1))))
+    np.testing.assert_allclose(limited[0, :, :2], vectors[0, :, :2], atol=1e-16)
+    np.testing.assert_allclose(limited[0, :, 2], np.array([0.6, 0.8]) * float(ARM.bend_limit), rtol=1e-14)
+
+
+def test_no_round_at_all_is_refused():
+    with pytest.raises(ValueError, match="at least one round"):
+        LeastSquaresConfig(rounds=())
+
+
+@pytest.mark.parametrize(
+    ("targets", "bends", "message"),
+    [
+        (np.full((2, 9), np.nan), None, "targets: got non-finite values in row 0"),
+        (np.zeros(9), None, r"targets: got shape \(9,\)"),
+        (np.ones((1, 9)), None, "row 0 is no rotation"),
+        (reachable(ARM, 2), np.zeros((3, 2)), r"initial_bends: got shape \(3, 2\)"),
+    ],
+    ids=["NaN", "one row", "no rotation", "three segments"],
+)
+def test_what_is_no_question_is_refused(targets, bends, message):
+    with pytest.raises(ValueError, match=message):
+        solve_least_squares(ARM, targets, bends, CONFIG, CANDIDATES)
