@@ -1,5 +1,6 @@
 # make run     the whole pipeline at the size of a small computer (arguments: make run ARGS="+experiment=smoke")
 # make test    the tests          make lint, make types    ruff, pyright
+# make bench   what is measured, at what rate, on this machine
 # Each creates the environment in .venv first, and again when pyproject.toml or constraints.txt change.
 
 VENV := .venv
@@ -7,7 +8,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 ARGS ?=
 
-.PHONY: run test lint types constraints clean
+.PHONY: run test lint types bench constraints clean
 
 run: $(STAMP)
 	$(BIN)/qjrl $(ARGS)
@@ -33,6 +34,9 @@ $(STAMP): pyproject.toml constraints.txt
 	rm -rf $(VENV) && "$$python" -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
 	@touch $@
+
+bench: $(STAMP)
+	@for script in experiments/bench/*.py; do echo "== $$script"; $(BIN)/python "$$script" || exit 1; done
 
 constraints: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
