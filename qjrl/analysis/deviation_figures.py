@@ -61,7 +61,7 @@ def maps(found: DeviationMap, studies: Sequence[JointStudy], config: DeviationCo
         shown = axes.contourf(d, k, 1e3 * values, levels=levels, cmap="PuOr")
         axes.contour(d, k, values, levels=[0.0], colors=[LIGHT["ink"]], linewidths=1.4)
         axes.set_title(f"H - H0 at {angle:g}° [mm]\nk [mm]")
-        figure.colorbar(shown, ax=axes, shrink=0.85)
+        figure.colorbar(shown, ax=axes, shrink=0.85, format="%.1f")
     ends = np.degrees(np.where(np.isnan(found.low_error_end), np.pi / 2.0, found.low_error_end))
     shown = panels[2].contourf(d, k, ends, levels=np.arange(0.0, 91.0, 10.0), cmap="cividis")
     panels[2].contour(d, k, ends, levels=[config.near_angle_deg], colors=[LIGHT["paper"]], linewidths=1.4)
