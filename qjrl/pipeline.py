@@ -179,6 +179,7 @@ def _run_stage(name: str, config: Any, run_dir: Path) -> None:
     inputs = {source: run_dir / STAGES[source].writes for source in stage.reads}
     identity = {
         "config_hash": artifacts.hash_of(as_mapping(config)),
+        "robot_hash": robot_hash,
         "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
     }
     if _same(out / artifacts.DONE, identity):
@@ -189,7 +190,7 @@ def _run_stage(name: str, config: Any, run_dir: Path) -> None:
     artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
     start = time.monotonic()
     stage.load().run(config, inputs, out)
-    artifacts.mark_done(out, **identity, robot_hash=robot_hash, seconds=round(time.monotonic() - start, 1))
+    artifacts.mark_done(out, **identity, seconds=round(time.monotonic() - start, 1))
 
 
 def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:
@@ -225,6 +226,9 @@ def _same(record: Path, identity: Mapping[str, Any]) -> bool:
 
 
 def _robot_hash(config: Any) -> str | None:
+    """Of the robot a stage works on; a stage that names its robots itself says what they are by `robot_hash`."""
+    if hasattr(config, "robot_hash"):
+        return config.robot_hash
     if not hasattr(config, "robot"):
         return None
     from qjrl.robot import robot_from_mapping, robot_hash

@@ -9,8 +9,9 @@ from qjrl.analysis import workspace_comparison as comparison
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
-from qjrl.analysis.workspace import WorkspaceConfig, measure_workspaces, num_poses
+from qjrl.analysis.workspace import WorkspaceConfig, measure_workspaces, num_poses, robot_of
 from qjrl.analysis.workspace_report import workspace_figures, workspace_report
+from qjrl.robot import robot_hash
 
 log = logging.getLogger(__name__)
 
@@ -19,6 +20,11 @@ log = logging.getLogger(__name__)
 class Config:
     workspace: WorkspaceConfig
     seed: int
+
+    @property
+    def robot_hash(self) -> str:
+        """Of all arms: a changed description of one of them is a changed stage."""
+        return artifacts.hash_of([robot_hash(robot_of(arm)) for arm in self.workspace.arms])
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

@@ -20,6 +20,7 @@ from qjrl.analysis.workspace import ArmConfig, WorkspaceConfig, measure_workspac
 from qjrl.analysis.workspace_comparison import compare, judge, parts_of
 from qjrl.config import as_mapping, read_yaml
 from qjrl.robot import load_robot
+from qjrl.stages.workspace import Config
 
 LINK = 0.1
 LIMIT = 60.0
@@ -148,6 +149,17 @@ def test_the_viewer_holds_the_points_and_nothing_from_elsewhere():
     assert "&lt;mine&gt;" in page and "http" not in page and "src=" not in page
     with pytest.raises(ValueError, match="colour: got 'pink'"):
         Cloud("x", points, "pink")
+
+
+def test_another_description_under_the_same_name_is_another_stage(config, two_links, tmp_path):
+    copy = tmp_path / "arm.yaml"
+    changed = read_yaml(two_links)
+    hashes = set()
+    for length in (LINK, 1.5 * LINK, LINK):
+        copy.write_text(yaml.safe_dump(changed | {"link_length": length}))
+        arms = tuple(dataclasses.replace(arm, robot=str(copy)) for arm in config.arms)
+        hashes.add(Config(dataclasses.replace(config, arms=arms), seed=0).robot_hash)
+    assert len(hashes) == 2
 
 
 def test_the_stage_writes_metrics_figures_and_a_page_of_its_own(config, tmp_path, monkeypatch):
