@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, Float
 
 from qjrl.config import Range
-from qjrl.robot.forward_model import pose_function
+from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
-from qjrl.robot.verbs import Robot, cable_lengths
+from qjrl.robot.verbs import Robot
 from qjrl.solvers.batching import in_batches
 from qjrl.solvers.levenberg_marquardt import DescentConfig, descend
+from qjrl.solvers.model_tip import lengths_of, tip_function
 from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
 
 
@@ -69,21 +69,26 @@ def solve_least_squares(
     initial_bends: Any = None,
     config: LeastSquaresConfig = LeastSquaresConfig(),
     candidates: Candidates | None = None,
+    model: PoseFunction | None = None,
 ) -> SolveResult:
-    """Cable lengths whose nominal pose is nearest to each target, joint limits kept.
+    """Cable lengths whose pose under `model` is nearest to each target, joint limits kept.
 
     Args:
         robot: the arm.
         targets: (n, 9) poses [m, -].
         initial_bends: (n, segments, 2) or (segments, 2) to start from first, such as another solver's answer or a
-            neighbour's; default: the nearest candidate.
+            neighbour's; default: the nearest candidate, or for a model the closed form's answer.
         config: rounds of starts, tolerances.
         candidates: from `draw_candidates`, to be drawn once where many calls follow; default: drawn here.
+        model: lengths (num_cables,) [m] -> pose (9,), near the nominal closed form, which is the default. Keep one
+            function object for many calls: each new one is compiled.
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
     checked = check_targets(targets)
     candidates = candidates or draw_candidates(robot, config)
+    if model is not None and initial_bends is None:
+        initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends
     best = _nothing_found(robot, len(checked))
     if initial_bends is not None:
         best = dataclasses.replace(best, vectors=_vectors_of(check_initial_bends(robot, initial_bends, len(checked))))
@@ -93,8 +98,8 @@ def solve_least_squares(
             break
         is_begun = number > 0 or initial_bends is not None
         starts = _starts(config, candidates, best.vectors[rows], checked[rows], number, is_begun)
-        best = _keep_better(best, rows, _descend(robot, config, starts, checked[rows], one_round.iterations))
-    return _judge(robot, config, checked, best)
+        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], one_round.iterations))
+    return _judge(robot, model, config, checked, best)
 
 
 def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfig(), seed: int = 0) -> Candidates:
@@ -162,19 +167,28 @@ class _Ends:
     steps: Any
 
 
-def _descend(robot: Robot, config: LeastSquaresConfig, starts: np.ndarray, targets: np.ndarray, iterations: int):
+def _descend(
+    robot: Robot,
+    model: PoseFunction | None,
+    config: LeastSquaresConfig,
+    starts: np.ndarray,
+    targets: np.ndarray,
+    iterations: int,
+) -> _Ends:
     """The ends (rows, starts) of all descents of a round."""
     shape = starts.shape[:2]
-    function = functools.partial(_descend_rows, config.descent, robot, np.int32(iterations))
+    function = functools.partial(_descend_rows, config.descent, model, robot, np.int32(iterations))
     ends = in_batches(
         function, config.batch_size, starts.reshape(-1, *starts.shape[2:]), np.repeat(targets, shape[1], axis=0)
     )
     return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), ends)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _descend_rows(config: DescentConfig, robot: Robot, iterations, starts, targets) -> _Ends:
-    state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations)
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _descend_rows(
+    config: DescentConfig, model: PoseFunction | None, robot: Robot, iterations, starts, targets
+) -> _Ends:
+    state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations, tip_function(model))
     status = jnp.where(state.has_stalled, int(Status.STALLED), int(Status.ITERATION_LIMIT))
     status = jnp.where(state.is_near, int(Status.CONVERGED), status)
     return _Ends(jnp.moveaxis(state.vectors, -1, 0), state.residual.cost, status, state.steps)
@@ -192,26 +206,24 @@ def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:
     return _Best(**kept)
 
 
-def _judge(robot: Robot, config: LeastSquaresConfig, targets: np.ndarray, best: _Best) -> SolveResult:
-    """The result, its errors recomputed by forward kinematics."""
-    function = functools.partial(_judge_rows, config.descent, robot)
+def _judge(
+    robot: Robot, model: PoseFunction | None, config: LeastSquaresConfig, targets: np.ndarray, best: _Best
+) -> SolveResult:
+    """The result, its errors recomputed by the model."""
+    function = functools.partial(_judge_rows, config.descent, model, robot)
     result = in_batches(function, config.batch_size, targets, best.vectors, best.steps, best.status)
     return jax.tree.map(jnp.asarray, result)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _judge_rows(config: DescentConfig, robot: Robot, targets, vectors, steps, ended) -> SolveResult:
-    lengths = jax.vmap(lambda rows: cable_lengths(robot, jax.vmap(_bend_of)(rows)))(vectors)
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _judge_rows(
+    config: DescentConfig, model: PoseFunction | None, robot: Robot, targets, vectors, steps, ended
+) -> SolveResult:
+    lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(vectors)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
-    result = describe_solution(robot, pose_function(robot, None), targets, lengths, tolerances, steps)
+    result = describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
     has_stalled = (result.status == Status.ITERATION_LIMIT) & (ended == Status.STALLED)
     return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
-
-
-def _bend_of(vector: Float[Array, "2"]) -> Float[Array, "2"]:
-    """sin(theta/2) (cos phi, sin phi) of a bend vector; sinc keeps it regular at 0."""
-    angle = jnp.sqrt(jnp.sum(vector**2))
-    return 0.5 * jnp.sinc(angle / (2.0 * jnp.pi)) * vector
 
 
 def _vectors_of(bends: np.ndarray) -> np.ndarray:

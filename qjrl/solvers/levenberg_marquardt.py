@@ -1,10 +1,12 @@
-"""Damped least squares on the closed-form arm, many starts side by side: residual, step, acceptance, end.
+"""Damped least squares on the arm, many starts side by side: residual, step, acceptance, end.
 
 Components come first and lanes, one a start, last (see `qjrl.robot.quaternion_arm.differential`).
 """
 
 import dataclasses
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated
 
 import jax
@@ -13,8 +15,9 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range
-from qjrl.robot.quaternion_arm.differential import tip_of
+from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.verbs import Robot
+from qjrl.solvers.model_tip import TipFunction
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,8 +84,13 @@ def descend(
     starts: Float[Array, "segments 2 lanes"],
     targets: Float[Array, "9 lanes"],
     iterations: Int[Array, ""],
+    tip: TipFunction = tip_of,
 ) -> Descent:
-    """Levenberg-Marquardt from every start until all lanes are near or stalled, or for `iterations`."""
+    """Levenberg-Marquardt from every start until all lanes are near or stalled, or for `iterations`.
+
+    `tip` gives poses and Jacobian: the closed form's, or a learned model's (see `model_tip`).
+    """
+    problem = _Problem(robot, config, targets, partial(tip, robot))
 
     def is_unfinished(carry) -> jax.Array:
         number, state = carry
@@ -90,17 +98,14 @@ def descend(
 
     def advance(carry):
         number, state = carry
-        return number + 1, _iterate(robot, config, targets, state)
+        return number + 1, _iterate(problem, state)
 
-    state = _begin(robot, config, within_limit(robot, starts), targets)
+    state = _begin(problem, within_limit(robot, starts))
     return jax.lax.while_loop(is_unfinished, advance, (jnp.zeros_like(iterations), state))[1]
 
 
-def residual_of(
-    robot: Robot, weight: float, vectors: Float[Array, "segments 2 lanes"], targets: Float[Array, "9 lanes"]
-) -> Residual:
-    """Error and Jacobian of the tip; the rotation error is the logarithm on SO(3), weighted [m/rad]."""
-    tip = tip_of(robot, vectors)
+def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 lanes"]) -> Residual:
+    """Error and Jacobian of a tip; the rotation error is the logarithm on SO(3), weighted [m/rad]."""
     x, y = targets[3:6], targets[6:9]
     turn = _rotation_vector(tip.rotation, jnp.stack([x, y, jnp.cross(x, y, axis=0)], axis=1))
     return Residual(
@@ -129,25 +134,39 @@ def within_limit(robot: Robot, vectors: Float[Array, "segments 2 lanes"]) -> Flo
     return vectors * (limit / angle)
 
 
-def _begin(robot: Robot, config: DescentConfig, vectors: jax.Array, targets: jax.Array) -> Descent:
-    residual = residual_of(robot, config.rotation_weight, vectors, targets)
+@dataclasses.dataclass(frozen=True)
+class _Problem:
+    """What stays the same during a descent."""
+
+    robot: Robot
+    config: DescentConfig
+    targets: jax.Array
+    tip: Callable[[jax.Array], Tip]
+
+    def residual(self, vectors: jax.Array) -> Residual:
+        return residual_of(self.tip(vectors), self.config.rotation_weight, self.targets)
+
+
+def _begin(problem: _Problem, vectors: jax.Array) -> Descent:
+    residual = problem.residual(vectors)
     lanes = vectors.shape[-1:]
     return Descent(
         vectors,
         residual,
-        jnp.full(lanes, config.damping, vectors.dtype),
+        jnp.full(lanes, problem.config.damping, vectors.dtype),
         jnp.zeros(lanes, jnp.int32),
-        _is_near(config, residual),
+        _is_near(problem.config, residual),
         jnp.zeros(lanes, bool),
     )
 
 
-def _iterate(robot: Robot, config: DescentConfig, targets: jax.Array, state: Descent) -> Descent:
+def _iterate(problem: _Problem, state: Descent) -> Descent:
     """One step of every lane that is going; taken back where it does not lower the cost."""
+    robot, config = problem.robot, problem.config
     held = _hold_at_limit(robot, state.vectors, state.residual)
     step = damped_step(held, state.damping, config.largest_step)
     vectors = within_limit(robot, state.vectors + step.reshape(state.vectors.shape))
-    residual = residual_of(robot, config.rotation_weight, vectors, targets)
+    residual = problem.residual(vectors)
     is_better = (residual.cost < state.residual.cost) & state.is_going
     pick = lambda new, old: jnp.where(is_better, new, old)  # noqa: E731
     moved = jnp.sqrt(jnp.sum((vectors - state.vectors) ** 2, axis=(0, 1)))

@@ -22,7 +22,7 @@ from qjrl.robot import load_robot, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.sampling import SampleConfig
-from qjrl.solvers import AdamConfig
+from qjrl.solvers import AdamConfig, LeastSquaresConfig
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {"nominal", "learned_ik", "learned_ik+residual"}
@@ -33,7 +33,7 @@ CONFIGS = {
         "corrected", NetworkConfig(16, 1, 1, zero_output=True), FitConfig(epochs=4, batch_size=16, evaluate_every=2)
     ),
     "ik": IKConfig(
-        AdamConfig(iterations=30, num_restarts=2, num_candidates=128, num_retries=0, batch_size=8),
+        least_squares=LeastSquaresConfig(num_candidates=128, batch_size=16),
         num_held_out=4,
         num_bank=6,
     ),
@@ -162,9 +162,10 @@ def test_another_name_of_the_run_only_writes_the_report_again(run_dir, caplog):
 
 @pytest.mark.slow
 def test_a_changed_solver_runs_again_what_depends_on_it_alone(run_dir, caplog):
-    solver = dataclasses.replace(CONFIGS["ik"].solver, control_penalty=0.5)
+    adam = AdamConfig(iterations=30, num_restarts=2, num_candidates=128, num_retries=0, batch_size=8)
+    changed = dataclasses.replace(CONFIGS["ik"], method="adam", adam=adam)
     with caplog.at_level(logging.INFO):
-        run(run_dir, ["sample", "forward_model", "ik"], ik=dataclasses.replace(CONFIGS["ik"], solver=solver))
+        run(run_dir, ["sample", "forward_model", "ik"], ik=changed)
     assert stages_run(caplog) == (["ik"], {"sample", "forward_model"})
     old, new = (artifacts.load(run_dir / name / "held_out.npz") for name in ("ik.previous", "ik"))
     np.testing.assert_array_equal(old["target"], new["target"])

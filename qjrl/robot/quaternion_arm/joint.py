@@ -58,6 +58,11 @@ def bends_from_angles(direction: Float[Array, "*n"], angle: Float[Array, "*n"]) 
     return jnp.sin(angle / 2.0)[..., None] * jnp.stack([jnp.cos(direction), jnp.sin(direction)], axis=-1)
 
 
+def bend_from_vector(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Bend of a bend vector theta (cos phi, sin phi) [rad]; the normalised sinc keeps it regular at 0."""
+    return 0.5 * jnp.sinc(safe_norm(vector) / (2.0 * jnp.pi)) * vector
+
+
 def bend_angle(bend: Float[Array, "2"]) -> Float[Array, ""]:
     """Bend angle theta [rad], in [0, pi]; its gradient at 0 is zero, not NaN."""
     return 2.0 * jnp.arctan2(safe_norm(bend), half_direction(bend)[2])
