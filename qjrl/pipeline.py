@@ -93,6 +93,12 @@ STAGES: dict[str, Stage] = {
         writes="elliptical_deviation",
         default=False,
     ),
+    "table3": Stage(
+        "qjrl.stages.table3",
+        "solve the paper's inverse-kinematics protocol by FABRIK and least squares",
+        writes="table3",
+        default=False,
+    ),
 }
 
 

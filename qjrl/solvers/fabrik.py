@@ -86,6 +86,17 @@ class Progress:
     """At the last look the arm was where it had been at the one before."""
 
 
+def watch_fabrik(robot: Robot, targets: Any, config: FabrikConfig = FabrikConfig()) -> Progress:
+    """How FABRIK ends from home at every target: turns spent, and whether it is near or has stalled; limits are ignored.
+
+    Args:
+        targets: (n, 9) poses [m, -].
+    """
+    checked = check_targets(targets)
+    bends = np.zeros((len(checked), robot.num_segments, 2))
+    return in_batches(functools.partial(_watch_rows, config, robot), config.batch_size, checked, bends)
+
+
 def solve_one(
     robot: Robot, config: FabrikConfig, target: Float[Array, "9"], bends: Float[Array, "segments 2"]
 ) -> Progress:
@@ -167,8 +178,13 @@ def _look(config: FabrikConfig, state: Progress, arm: VirtualArm, roll: jax.Arra
 
 
 @functools.partial(jax.jit, static_argnums=0)
+def _watch_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, bends: jax.Array) -> Progress:
+    return jax.vmap(lambda target, start: solve_one(robot, config, target, start))(targets, bends)
+
+
+@functools.partial(jax.jit, static_argnums=0)
 def _solve_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, bends: jax.Array) -> SolveResult:
-    ends = jax.vmap(lambda target, start: solve_one(robot, config, target, start))(targets, bends)
+    ends = _watch_rows(config, robot, targets, bends)
     states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
