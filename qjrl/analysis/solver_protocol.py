@@ -130,7 +130,7 @@ def success_curves(config: Table3Config, seed: int) -> dict[float, np.ndarray]:
     targets, _ = draw_targets(robot, case, config.num_curve, seed)
     curves = {}
     for relaxation in config.relaxations:
-        progress = watch_fabrik(robot, targets, dataclasses.replace(config.fabrik, relaxation=relaxation))
+        progress = watch_fabrik(robot, targets, config=dataclasses.replace(config.fabrik, relaxation=relaxation))
         is_inside = np.max(progress.arm.angles, axis=1) <= float(robot.bend_limit)
         turns = np.asarray(progress.turns)[np.asarray(progress.is_near) & is_inside]
         counts = np.bincount(turns, minlength=config.fabrik.outer_iterations + 1)[1:]

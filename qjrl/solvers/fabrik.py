@@ -59,11 +59,9 @@ def solve_fabrik(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
-    checked = check_targets(targets)
-    home = np.zeros((robot.num_segments, 2))
-    bends = check_initial_bends(robot, home if initial_bends is None else initial_bends, len(checked))
-    function = functools.partial(_solve_rows, config, robot)
-    return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, bends))
+    checked, ends = check_targets(targets), watch_fabrik(robot, targets, initial_bends, config)
+    function = functools.partial(_judge_rows, config, robot)
+    return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, ends))
 
 
 @struct.dataclass
@@ -86,29 +84,56 @@ class Progress:
     """At the last look the arm was where it had been at the one before."""
 
 
-def watch_fabrik(robot: Robot, targets: Any, config: FabrikConfig = FabrikConfig()) -> Progress:
-    """How FABRIK ends from home at every target: turns spent, and whether it is near or has stalled; limits are ignored.
+def watch_fabrik(
+    robot: Robot, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+) -> Progress:
+    """How FABRIK ends at every target: turns spent, whether it is near or has stalled; joint limits are ignored.
 
     Args:
         targets: (n, 9) poses [m, -].
+        initial_bends: as for `solve_fabrik`.
     """
     checked = check_targets(targets)
-    bends = np.zeros((len(checked), robot.num_segments, 2))
-    return in_batches(functools.partial(_watch_rows, config, robot), config.batch_size, checked, bends)
+    home = np.zeros((robot.num_segments, 2))
+    bends = check_initial_bends(robot, home if initial_bends is None else initial_bends, len(checked))
+    state = in_batches(functools.partial(_begin_rows, config, robot), config.batch_size, bends)
+    for limit in _looks(config.outer_iterations):
+        rows = np.flatnonzero(_is_going(config, state, limit))
+        if len(rows):
+            advance = functools.partial(_advance_rows, config, robot, np.int32(limit))
+            moved = in_batches(advance, config.batch_size, checked[rows], _rows_of(state, rows))
+            state = _with_rows(state, rows, moved)
+    return state
 
 
-def solve_one(
-    robot: Robot, config: FabrikConfig, target: Float[Array, "9"], bends: Float[Array, "segments 2"]
+def _looks(outer_iterations: int) -> list[int]:
+    """25, 50, 100, ...: after so many turns those that are done leave their batch, which would wait for the slowest."""
+    looks = [_FIRST_LOOK]
+    while looks[-1] < outer_iterations:
+        looks.append(2 * looks[-1])
+    return [min(look, outer_iterations) for look in looks]
+
+
+def _rows_of(state: Progress, rows: np.ndarray) -> Progress:
+    return jax.tree.map(lambda values: values[rows], state)
+
+
+def _with_rows(state: Progress, rows: np.ndarray, moved: Progress) -> Progress:
+    def replaced(values: np.ndarray, new: np.ndarray) -> np.ndarray:
+        values = values.copy()
+        values[rows] = new
+        return values
+
+    return jax.tree.map(replaced, state, moved)
+
+
+def advance_one(
+    robot: Robot, config: FabrikConfig, limit: Int[Array, ""], target: Float[Array, "9"], state: Progress
 ) -> Progress:
-    """The outer iteration, until the pose is reached, nothing moves, or the iterations are spent."""
+    """The outer iteration, until the pose is reached, nothing moves, or `limit` turns are spent."""
     goal = goal_of(target)
-
-    def is_going(state: Progress) -> jax.Array:
-        gives_up = state.has_stalled if config.reversal == 0.0 else jnp.zeros((), bool)
-        return (state.turns < config.outer_iterations) & ~state.is_near & ~gives_up
-
     return jax.lax.while_loop(
-        is_going, lambda state: _iterate(robot, config, goal, state), _begin(robot, config, bends)
+        lambda state: _is_going(config, state, limit), lambda state: _iterate(robot, config, goal, state), state
     )
 
 
@@ -136,6 +161,12 @@ def turn_about_goal(arm: VirtualArm, goal: Goal, angle: Float[Array, ""]) -> Vir
         base_directions=arm.base_directions @ rotation.T,
         end_directions=arm.end_directions @ rotation.T,
     )
+
+
+def _is_going(config: FabrikConfig, state: Progress, limit) -> Any:
+    """One that turns back where it stalls does not give up for it."""
+    is_open = (state.turns < limit) & ~state.is_near
+    return is_open & ~state.has_stalled if config.reversal == 0.0 else is_open
 
 
 def _begin(robot: Robot, config: FabrikConfig, bends: jax.Array) -> Progress:
@@ -178,13 +209,17 @@ def _look(config: FabrikConfig, state: Progress, arm: VirtualArm, roll: jax.Arra
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _watch_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, bends: jax.Array) -> Progress:
-    return jax.vmap(lambda target, start: solve_one(robot, config, target, start))(targets, bends)
+def _begin_rows(config: FabrikConfig, robot: Robot, bends: jax.Array) -> Progress:
+    return jax.vmap(lambda start: _begin(robot, config, start))(bends)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _solve_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, bends: jax.Array) -> SolveResult:
-    ends = _watch_rows(config, robot, targets, bends)
+def _advance_rows(config: FabrikConfig, robot: Robot, limit, targets: jax.Array, states: Progress) -> Progress:
+    return jax.vmap(lambda target, state: advance_one(robot, config, limit, target, state))(targets, states)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _judge_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, ends: Progress) -> SolveResult:
     states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
@@ -204,3 +239,5 @@ def _anchored_state(robot: Robot, end: Progress, target: jax.Array) -> jax.Array
 _MARGIN = 0.9
 # An arm that moves less than this part of the tolerance in `patience` outer iterations never gets there.
 _STALLED = 0.01
+# Turns after which batches are filled up anew for the first time.
+_FIRST_LOOK = 25
