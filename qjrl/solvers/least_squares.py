@@ -45,7 +45,7 @@ class LeastSquaresConfig:
     """The next only for targets that the ones before have not solved; the best so far goes on as one of the starts."""
     num_candidates: Annotated[int, Range(1, 100_000)] = 4096
     """Random poses; the starts of a target are the nearest of them."""
-    batch_size: Annotated[int, Range(1, 65536)] = 512
+    batch_size: Annotated[int, Range(1, 65536)] = 256
     """Descents compiled together."""
 
     def __post_init__(self):
@@ -139,17 +139,23 @@ def _starts(
 
 def _nearest(config: LeastSquaresConfig, candidates: Candidates, targets: np.ndarray, used: int, count: int):
     """The candidates that rank `used` ... `used + count` by distance to each target, (rows, count)."""
-    chosen = np.empty((len(targets), count), int)
+    features = _features(config, targets)
+    if (used, count) == (0, 1):
+        function = functools.partial(_nearest_rows, candidates.features)
+        return in_batches(function, _RANKED_TOGETHER, features)[:, None]
+    if count == 0:
+        return np.empty((len(targets), 0), int)
     ranks = (used + np.arange(count)) % len(candidates.features)
-    half_squares = 0.5 * np.sum(candidates.features**2, axis=1)
-    for start in range(0, len(targets) if count else 0, _RANKED_TOGETHER):
-        rows = slice(start, start + _RANKED_TOGETHER)
-        distances = half_squares - _features(config, targets[rows]) @ candidates.features.T
-        if count == 1 and used == 0:
-            chosen[rows] = np.argmin(distances, axis=1)[:, None]
-        else:
-            chosen[rows] = np.argsort(distances, axis=1)[:, ranks]
-    return chosen
+    squares = (np.sum((row - candidates.features) ** 2, axis=1) for row in features)
+    return np.stack([np.argsort(row)[ranks] for row in squares])
+
+
+@jax.jit
+def _nearest_rows(candidates: jax.Array, targets: jax.Array) -> jax.Array:
+    """Index of the nearest candidate; the maximum over a mask, since XLA's argmin is slow on a CPU."""
+    distances = 0.5 * jnp.sum(candidates**2, axis=1) - targets @ candidates.T
+    is_nearest = distances <= jnp.min(distances, axis=1, keepdims=True)
+    return jnp.max(jnp.where(is_nearest, jnp.arange(len(candidates), dtype=jnp.int32), 0), axis=1)
 
 
 def _features(config: LeastSquaresConfig, poses: np.ndarray) -> np.ndarray:
@@ -239,4 +245,4 @@ def _random_poses(robot: Robot, key: jax.Array, count: int):
 
 
 # Targets whose distances to all candidates fit into a core's cache.
-_RANKED_TOGETHER = 64
+_RANKED_TOGETHER = 128
