@@ -27,6 +27,7 @@ def best_seconds(function) -> float:
 
 
 def bench_solvers(robot, candidates, largest_angle_deg: float) -> None:
+    """Print rates, shares reached and ratios on targets of one range."""
     targets, _ = draw_targets(robot, CaseConfig(robot.name, largest_angle_deg), NUM_TARGETS, seed=0)
     solve = lambda rows: solve_least_squares(robot, rows, candidates=candidates)  # noqa: E731
     rate = NUM_TARGETS / best_seconds(lambda: solve(targets))
@@ -42,6 +43,7 @@ def bench_solvers(robot, candidates, largest_angle_deg: float) -> None:
 
 
 def bench_jacobian(robot, count: int = 512) -> None:
+    """Print the ratio of two ways to the Jacobian of the tip."""
     vectors = jax.random.uniform(jax.random.key(0), (robot.num_segments, 2, count), minval=-0.5, maxval=0.5)
     rows = jnp.moveaxis(vectors, -1, 0)
     closed_form = jax.jit(tip_of)
@@ -51,6 +53,7 @@ def bench_jacobian(robot, count: int = 512) -> None:
 
 
 def main() -> None:
+    """Print the machine, then everything."""
     jax.config.update("jax_enable_x64", True)
     machine = provenance({}, None, None)["hardware"]
     print(f"{machine['cpu']}, {machine['cores']} cores; jax {jax.__version__}")
