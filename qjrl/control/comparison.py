@@ -51,9 +51,8 @@ def compare_controllers(
         axis=0,
     )
     rows = np.flatnonzero(in_time)
-    found = {}
+    found, stepper = {}, make_stepper(robot, len(rows), simulation)
     for name, (base, act) in controllers.items():
-        stepper = make_stepper(robot, len(rows), simulation)
         judge = Judge(robot, config.environment, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)
         found[name] = judge.judge(act, advance)
     is_valid = np.all([one.is_valid for one in found.values()], axis=0)

@@ -10,10 +10,6 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from qjrl.robot import build_mjcf
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
-from qjrl.robot.verbs import Robot
-
 with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where that is not installed
     from mujoco import mjx
 
@@ -48,20 +44,20 @@ class MjxArm:
         return mujoco.mj_name2id(self.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
 
 
-def load_arm(robot: Robot, options: SolverOptions, strand_friction: float | None = None) -> MjxArm:
+def load_arm(mjcf: str, strand_friction: float | None = None) -> MjxArm:
     """An arm's model for MJX.
 
     Args:
-        robot: the arm.
-        options: numerical settings.
-        strand_friction: instead of the robot's [N]. MJX makes friction rows only where this is above 0 here.
+        mjcf: of the arm, from `build_mjcf`.
+        strand_friction: of all actuated tendons, instead of the MJCF's [N]. MJX makes friction rows only where this is
+            above 0 here.
     """
-    host = mujoco.MjModel.from_xml_string(build_mjcf(robot, options))
+    host = mujoco.MjModel.from_xml_string(mjcf)
     host.opt.iterations = SOLVER_ITERATIONS if strand_friction is None else FRICTION_ITERATIONS
     host.opt.ls_iterations, host.opt.tolerance = LINE_SEARCH_ITERATIONS, SOLVER_TOLERANCE
     host.dof_solimp[:, :2] = host.tendon_solimp_fri[:, :2] = FRICTION_IMPEDANCE
     if strand_friction is not None:
-        host.tendon_frictionloss[: robot.num_strands] = strand_friction
+        host.tendon_frictionloss[: host.nu] = strand_friction
     with single_precision():
         return MjxArm(host, mjx.put_model(host, impl="jax"), mjx.make_data(host, impl="jax"))
 

@@ -1,5 +1,8 @@
 """Settle with MJX, in float32, for accelerators: chunks of simulations stepped together, each frozen once it rests."""
 
+import dataclasses
+import functools
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -9,6 +12,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.progress import compiling
+from qjrl.robot import build_mjcf
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
@@ -41,26 +45,42 @@ class _Reading:
     actuator_force: jax.Array
 
 
+@dataclasses.dataclass(frozen=True)
+class _Compiled:
+    """The functions of one arm and batch size, on rows alone."""
+
+    move: Callable[[_Row], _Row]
+    look: Callable[[_Row], _Reading]
+
+
 def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advance) -> RawSettled:
     """Run every row of `problem` to rest, `batch_size` at a time; rest is judged by `REST_SPEED` at least."""
-    arm = load_arm(robot, config.solver)
     size = min(config.batch_size, max(len(problem.joint_positions), 1))
-    with single_precision():
-        with compiling(f"MJX to settle {size} arms"):
-            example = (arm.model, arm.data, _rows(problem, np.zeros(size, int)))
-            move = compile_batch(partial(_move, config), (None, None, 0), *example)
-            look = compile_batch(partial(_look, arm.tip), (None, None, 0), *example)
-        parts = []
-        for start in range(0, len(problem.joint_positions), size):
-            chosen = np.arange(start, min(start + size, len(problem.joint_positions)))
-            padded = np.resize(chosen, size)
-            rows = _rows(problem, padded)
+    compiled = _compile(build_mjcf(robot, config.solver), config, size)
+    parts = []
+    for start in range(0, len(problem.joint_positions), size):
+        chosen = np.arange(start, min(start + size, len(problem.joint_positions)))
+        rows = _rows(problem, np.resize(chosen, size))
+        with single_precision():
             while np.asarray(_is_active(config, rows)).any():
-                rows = move(arm.model, arm.data, rows)
-            parts.append(_raw(config, rows, look(arm.model, arm.data, rows), len(chosen)))
-            advance(len(chosen))
+                rows = compiled.move(rows)
+            parts.append(_raw(config, rows, compiled.look(rows), len(chosen)))
+        advance(len(chosen))
     fields = ("joint_positions", "pose", "strand_tension", "speed", "steps", "converged")
     return RawSettled(*(np.concatenate([getattr(part, field) for part in parts]) for field in fields))
+
+
+@functools.lru_cache(maxsize=2)
+def _compile(mjcf: str, config: SettleConfig, size: int) -> _Compiled:
+    """Once for all shards of a data set: it takes a minute."""
+    arm = load_arm(mjcf)
+    zeros = lambda width: np.zeros((size, width), np.float32)  # noqa: E731
+    counts = np.zeros(size, np.int32)
+    rows = _Row(zeros(arm.host.nq), zeros(arm.host.nv), zeros(arm.host.nv), zeros(arm.host.nu), counts, counts)
+    with compiling(f"MJX to settle {size} arms"):
+        move = compile_batch(partial(_move, config), (None, None, 0), arm.model, arm.data, rows)
+        look = compile_batch(partial(_look, arm.tip), (None, None, 0), arm.model, arm.data, rows)
+    return _Compiled(partial(move, arm.model, arm.data), partial(look, arm.model, arm.data))
 
 
 def _rows(problem: SettleProblem, ids: np.ndarray) -> _Row:

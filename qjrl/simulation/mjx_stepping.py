@@ -12,6 +12,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.progress import compiling
+from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
@@ -70,7 +71,7 @@ class MjxStepper:
 
     def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004):
         self.num_sims, self.timestep, self.num_strands = num_sims, timestep, robot.num_strands
-        self._arm = load_arm(robot, SolverOptions(timestep=timestep), strand_friction=1.0)
+        self._arm = load_arm(build_mjcf(robot, SolverOptions(timestep=timestep)), strand_friction=1.0)
         host = self._arm.host
         zeros = lambda width: np.zeros((num_sims, width), np.float32)  # noqa: E731
         self._state = _State(zeros(host.nq), zeros(host.nv), zeros(host.nu), zeros(host.nv))
