@@ -75,6 +75,13 @@ STAGES: dict[str, Stage] = {
         reads=("sample", "forward_model", "ik", "policy"),
         writes="compare",
     ),
+    "open_loop": Stage(
+        "qjrl.stages.open_loop",
+        "settle FABRIK's, least squares' and the learned IK's commands",
+        reads=("forward_model",),
+        writes="open_loop",
+        default=False,
+    ),
     "describe": Stage(
         "qjrl.stages.describe",
         "say what an arm is: strokes, tensions, reach, a picture",

@@ -15,22 +15,37 @@ def outcomes_of_answers(answers: Mapping[str, np.ndarray], target_sets: Sequence
     """Real errors at rest of every controller on every target set; what never settled is counted as left out."""
     outcomes = []
     for index, target_set in enumerate(target_sets):
-        is_in_set = answers["target_set"] == index
+        rows = answers["target_set"] == index
         for controller, prefix in _PREFIXES.items():
-            rows = is_in_set & answers[f"{prefix}_settled"]
-            tension = answers[f"{prefix}_strand_tension"][rows]
-            outcomes.append(
-                Outcome(
-                    controller=controller,
-                    target_set=target_set,
-                    position_error=answers[f"{prefix}_position_error"][rows],
-                    orientation_error=answers[f"{prefix}_orientation_error"][rows],
-                    strand_tension=tension,
-                    is_slack=tension < SLACK_TENSION,
-                    num_left_out=int(is_in_set.sum() - rows.sum()),
-                )
-            )
+            names = ("position_error", "orientation_error", "strand_tension", "settled")
+            columns = (answers[f"{prefix}_{name}"][rows] for name in names)
+            outcomes.append(outcome_at_rest(controller, target_set, *columns))
     return outcomes
+
+
+def outcome_at_rest(
+    controller: str,
+    target_set: str,
+    position_error: np.ndarray,
+    orientation_error: np.ndarray,
+    strand_tension: np.ndarray,
+    has_settled: np.ndarray,
+) -> Outcome:
+    """Outcome of commands that were settled; what never settled is counted as left out.
+
+    Args:
+        position_error: (n,) [m]; orientation_error: (n,) [rad]; strand_tension: (n, strands) [N]; has_settled: (n,).
+    """
+    tension = strand_tension[has_settled]
+    return Outcome(
+        controller=controller,
+        target_set=target_set,
+        position_error=position_error[has_settled],
+        orientation_error=orientation_error[has_settled],
+        strand_tension=tension,
+        is_slack=tension < SLACK_TENSION,
+        num_left_out=int(len(has_settled) - has_settled.sum()),
+    )
 
 
 def predicted_errors(answers: Mapping[str, np.ndarray], target_sets: Sequence[str]) -> dict[str, dict[str, float]]:

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 
 CONTROLLER_LABELS = {
+    "fabrik": "FABRIK",
+    "least_squares": "least squares, closed form",
     "nominal": "nominal closed form",
     "learned_ik": "learned IK",
     "nominal+residual": "nominal + residual",

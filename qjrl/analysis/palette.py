@@ -42,6 +42,8 @@ SERIES = ("blue", "orange", "teal", "violet", "ochre", "grey")
 """Order of colours where nothing has a colour of its own."""
 
 _CONTROLLERS = {
+    "fabrik": ("orange", (0, (1, 1.2))),
+    "least_squares": ("grey", (0, (4, 1.6))),
     "nominal": ("grey", (0, (4, 1.6))),
     "learned_ik": ("blue", "-"),
     "learned_ik+residual": ("orange", "-"),

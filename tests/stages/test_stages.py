@@ -12,6 +12,7 @@ from qjrl.artifacts import ArtifactError
 from qjrl.config import as_mapping, conf_folder, read_yaml
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
+from qjrl.control.open_loop import OpenLoopConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
@@ -22,7 +23,8 @@ from qjrl.robot import load_robot, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.sampling import SampleConfig
-from qjrl.solvers import AdamConfig, LeastSquaresConfig
+from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
+from qjrl.stages import open_loop
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {"nominal", "learned_ik", "learned_ik+residual"}
@@ -198,3 +200,24 @@ def test_a_dataset_of_another_robot_is_refused_in_one_line(run_dir):
     other = tree() | {"robot": read_yaml(conf_folder() / "robot" / "qj_2222.yaml"), "stages": ["forward_model"]}
     with pytest.raises(ArtifactError, match="belongs to another robot; run stages="):
         pipeline.run(pipeline.selected(other), pipeline.build_configs(other), run_dir)
+
+
+def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
+    config = open_loop.Config(
+        read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
+        CONFIGS["simulation"],
+        CONFIGS["ik"],
+        OpenLoopConfig(num_targets=5, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
+        seed=0,
+    )
+    open_loop.run(config, {"forward_model": finished / "forward_model"}, tmp_path)
+    metrics, raw = artifacts.load(tmp_path / "metrics.json"), artifacts.load(tmp_path / "outcomes.npz")
+    for target_set in TARGET_SETS:
+        assert metrics["controllers"][target_set].keys() == {"fabrik", "least_squares", "learned_ik"}
+        errors = {
+            name: raw[f"{target_set}/{name}/position_error"][raw[f"{target_set}/{name}/settled"]]
+            for name in ("fabrik", "learned_ik")
+        }
+        ratio = np.median(errors["fabrik"]) / np.median(errors["learned_ik"])
+        assert metrics["ratios"][target_set]["fabrik"] == pytest.approx(ratio)
+        assert (tmp_path / f"{target_set}.png").stat().st_size > 10_000
