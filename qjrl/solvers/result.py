@@ -50,9 +50,9 @@ def check_targets(targets) -> np.ndarray:
         ValueError: wrong shape, non-finite values, or columns that are not those of a rotation.
     """
     targets = np.asarray(targets, np.float64)
-    if targets.ndim != 2 or targets.shape[1] != 9:
+    if targets.ndim != 2 or targets.shape[1] != 9 or len(targets) == 0:
         raise ValueError(
-            f"targets: got shape {targets.shape}, allowed: (n, 9), position [m] and two columns of a rotation"
+            f"targets: got shape {targets.shape}, allowed: (n, 9) with n at least 1, position [m] and two columns of a rotation"
         )
     if not np.all(np.isfinite(targets)):
         raise ValueError(f"targets: got non-finite values in row {int(np.argmax(~np.isfinite(targets).all(axis=1)))}")
