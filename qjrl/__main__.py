@@ -124,7 +124,8 @@ def _job(outcomes: list[str]) -> Callable[[Any], str]:
         overrides = list(HydraConfig.get().overrides.task)
         with sweep.recorded(run_dir, overrides) as record:
             tree = OmegaConf.to_container(cfg, resolve=True)
-            record["status"], record["error"] = _run(tree, run_dir)  # pyright: ignore[reportArgumentType]
+            together = _directory_of_all_parts(run_dir, Path(HydraConfig.get().sweep.dir))
+            record["status"], record["error"] = _run(tree, together)  # pyright: ignore[reportArgumentType]
         outcomes.append(record["status"])
         return record["status"]
 
@@ -264,6 +265,15 @@ def _pinned_sweep(arguments: list[str]) -> tuple[Path, list[str]]:
         f"hydra.sweep.dir='{sweep_dir}'",
         f"hydra.job.config.override_dirname.exclude_keys=[{keys}]",
     ]
+
+
+def _directory_of_all_parts(job_dir: Path, sweep_dir: Path) -> Path:
+    """The run directory of a job: its own, except that jobs which differ only in their part of a stage share one."""
+    if not job_dir.absolute().is_relative_to(sweep_dir.absolute()):
+        return job_dir
+    names = job_dir.absolute().relative_to(sweep_dir.absolute()).as_posix().split(",")
+    kept = [name for name in names if name.partition("=")[0] not in pipeline.PART_KEYS]
+    return job_dir if kept == names else sweep_dir / ",".join(kept)
 
 
 def _finish_sweep(sweep_dir: Path, since: float) -> int:

@@ -7,6 +7,8 @@ Formats: ``.npz`` (named arrays), ``.json``, ``.jsonl`` (one record a line), a d
 import hashlib
 import json
 import os
+import secrets
+import shutil
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -46,6 +48,25 @@ def write_bytes(path: str | Path, content: bytes) -> None:
         file.write(content)
 
 
+def place_copy(source: str | Path, path: str | Path) -> None:
+    """Puts the same file at a second place, without a second copy of its bytes where the file system can do that."""
+    temporary = _temporary(Path(path))
+    try:
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def remove_unfinished(directory: str | Path) -> None:
+    """Deletes what a killed process was writing; for a directory in which no other process is at work."""
+    for path in Path(directory).glob(".*.tmp"):
+        path.unlink(missing_ok=True)
+
+
 def append_json_line(path: str | Path, record: Any) -> None:
     """Appends one record to a ``.jsonl`` file; half a line left by a crash is cut off first."""
     line = (json.dumps(_plain(record)) + "\n").encode()
@@ -60,13 +81,16 @@ def append_json_line(path: str | Path, record: Any) -> None:
         os.fsync(file.fileno())
 
 
-def append_shard(directory: str | Path, arrays: Mapping[str, Any], robot_hash: str, **about: Any) -> None:
+def append_shard(
+    directory: str | Path, arrays: Mapping[str, Any], robot_hash: str, first_row: int | None = None, **about: Any
+) -> None:
     """Adds rows to a dataset directory: the shard first, then the manifest that makes it count.
 
     An interruption between the two leaves a shard that the manifest does not list; the next call overwrites it.
 
     Args:
         arrays: column name -> (rows, ...); the same columns in every shard.
+        first_row: number of the first row in the whole data set; default: they follow those that are there.
         about: what else the manifest says (`seed`, `settings`, ...); replaces what it said before.
     """
     directory = Path(directory)
@@ -75,8 +99,10 @@ def append_shard(directory: str | Path, arrays: Mapping[str, Any], robot_hash: s
         manifest = read_manifest(directory, robot_hash)
     name = f"shard-{len(manifest['shards']):05d}.npz"
     write_arrays(directory / name, arrays)
+    if first_row is None:
+        first_row = sum(shard["rows"] for shard in manifest["shards"])
     rows = len(next(iter(arrays.values())))
-    shard = {"name": name, "rows": rows, "sha256": hash_of_file(directory / name)}
+    shard = {"name": name, "first_row": first_row, "rows": rows, "sha256": hash_of_file(directory / name)}
     write_json(directory / MANIFEST, manifest | about | {"shards": [*manifest["shards"], shard]})
 
 
@@ -136,6 +162,11 @@ def hash_of_directory(directory: str | Path) -> str:
     root = Path(directory)
     files = sorted(path for path in root.rglob("*") if path.is_file() and path not in (root / DONE, root / PROVENANCE))
     return hash_of([(path.relative_to(root).as_posix(), hash_of_file(path)) for path in files])
+
+
+def parts_of(directory: str | Path) -> Path:
+    """Where processes make the parts of a stage's directory before they are joined, one subdirectory each."""
+    return Path(f"{directory}.parts")
 
 
 def mark_done(directory: str | Path, **about: Any) -> None:
@@ -213,7 +244,7 @@ _READERS: dict[str, Callable[[Path], Any]] = {".npz": _read_npz, ".json": _read_
 def _replacing(path: Path) -> Iterator[BinaryIO]:
     """A temporary file beside `path` that takes its place, on disk for sure, if the block succeeds."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = _temporary(path)
     try:
         with open(temporary, "wb") as file:
             yield file
@@ -222,6 +253,11 @@ def _replacing(path: Path) -> Iterator[BinaryIO]:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _temporary(path: Path) -> Path:
+    """A name that no other process has, on this machine or another."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
 
 
 def _byte_at(file: BinaryIO, position: int) -> bytes:

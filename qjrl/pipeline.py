@@ -4,6 +4,10 @@
 
 A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
 ``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
+
+Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
+`parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
+a directory, a lock and a done-marker of its own in ``WRITES.parts/PART``; the whole is made of them when all are there.
 """
 
 import dataclasses
@@ -109,6 +113,10 @@ STAGES: dict[str, Stage] = {
 }
 
 
+PART_KEYS = ("sample.shard",)
+"""Keys that say which part of a stage a process makes: a sweep over them fills one run directory."""
+
+
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
     """The top-level keys that belong to the run and to no stage."""
@@ -144,9 +152,14 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
         configs: stage name -> its Config, from `build_configs`.
         run_dir: where the stages' directories are or will be.
     """
+    ordered = in_order(names)
+    shared = [name for name in ordered if getattr(configs[name], "part", None) is not None]
+    if shared:
+        return _run_part(shared[0], configs[shared[0]], ordered, run_dir)
     with _alone_in(run_dir):
-        for name in in_order(names):
-            _run_stage(name, configs[name], run_dir)
+        for name in ordered:
+            config = configs[name]
+            _run_stage(name, config.whole() if hasattr(config, "whole") else config, run_dir)
 
 
 def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -169,12 +182,12 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @contextmanager
-def _alone_in(run_dir: Path) -> Iterator[None]:
+def _alone_in(run_dir: Path, name: str = ".lock", wait: bool = False) -> Iterator[None]:
     """Two runs in one directory would move each other's output away."""
     run_dir.mkdir(parents=True, exist_ok=True)
-    with open(run_dir / ".lock", "w") as lock:
+    with open(run_dir / name, "w") as lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError as error:
             raise ArtifactError(
                 f"{run_dir}: another run is at work here; wait for it or choose another name="
@@ -186,15 +199,29 @@ def _part(tree: Mapping[str, Any], kind: type) -> dict[str, Any]:
     return {field.name: tree[field.name] for field in dataclasses.fields(kind) if field.name in tree}
 
 
+def _run_part(name: str, config: Any, stages: list[str], run_dir: Path) -> None:
+    """One process's share of a stage; the process that ends last makes the whole of all shares."""
+    if stages != [name]:
+        raise ConfigError(f"stages: got [{','.join(stages)}], allowed: [{name}] alone to make part {config.part} of it")
+    out = run_dir / STAGES[name].writes
+    if _same(out / artifacts.DONE, _identity(name, config.whole(), run_dir)):
+        log.info("%s: done before and unchanged, skipped", name)
+        return
+    parts = artifacts.parts_of(out)
+    with _alone_in(parts, f".{config.part}.lock"):
+        _run_stage(name, config, run_dir)
+    every = config.parts().items()
+    if all(_same(parts / part / artifacts.DONE, _identity(name, other, run_dir)) for part, other in every):
+        with _alone_in(run_dir, wait=True):  # of two that end at once, the second finds it done
+            _run_stage(name, config.whole(), run_dir)
+
+
 def _run_stage(name: str, config: Any, run_dir: Path) -> None:
     stage, out = STAGES[name], run_dir / STAGES[name].writes
-    robot_hash = _robot_hash(config)
-    inputs = {source: run_dir / STAGES[source].writes for source in stage.reads}
-    identity = {
-        "config_hash": artifacts.hash_of(as_mapping(config)),
-        "robot_hash": robot_hash,
-        "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
-    }
+    part, robot_hash = getattr(config, "part", None), _robot_hash(config)
+    identity = _identity(name, config, run_dir)
+    if part is not None:
+        name, out = f"{name} {part}", artifacts.parts_of(out) / part
     if _same(out / artifacts.DONE, identity):
         log.info("%s: done before and unchanged, skipped", name)
         return
@@ -202,8 +229,22 @@ def _run_stage(name: str, config: Any, run_dir: Path) -> None:
     record = provenance(as_mapping(config), getattr(config, "seed", None), robot_hash)
     artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
     start = time.monotonic()
-    stage.load().run(config, inputs, out)
+    stage.load().run(config, _inputs(stage, run_dir), out)
     artifacts.mark_done(out, **identity, seconds=round(time.monotonic() - start, 1))
+
+
+def _inputs(stage: Stage, run_dir: Path) -> dict[str, Path]:
+    return {source: run_dir / STAGES[source].writes for source in stage.reads}
+
+
+def _identity(name: str, config: Any, run_dir: Path) -> dict[str, Any]:
+    """What the output of a stage depends on."""
+    robot_hash, inputs = _robot_hash(config), _inputs(STAGES[name], run_dir)
+    return {
+        "config_hash": artifacts.hash_of(as_mapping(config)),
+        "robot_hash": robot_hash,
+        "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
+    }
 
 
 def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:

@@ -242,6 +242,52 @@ def test_a_sweep_ends_with_one_table_and_fails_if_a_job_does(two_stages, tmp_pat
     assert "thirteen" in result.out
 
 
+def test_a_sweep_over_shards_fills_one_data_set_and_the_rest_goes_on_from_there(qjrl, tmp_path) -> None:
+    size = ("stages=[sample]", "robot=qj_22", "sample.num_samples=6", "sample.shard_size=2")
+    result = qjrl("-m", *size, "sample.shard=0,1", "sample.num_shards=2", "name=shared")
+    assert result.code == 0, result.err
+    dataset = tmp_path / "outputs" / "shared" / "dataset"
+    assert (dataset / "done.json").exists() and not dataset.with_name("dataset.parts").exists()
+    rows = json.loads((tmp_path / "outputs" / "shared" / "sweep.json").read_text())
+    assert [row["job"] for row in rows] == ["sample.shard=0", "sample.shard=1"]
+
+    assert "sample: done before and unchanged, skipped" in qjrl(*size, "name=shared").out
+    assert qjrl(*size, "name=alone").code == 0
+    alone = artifacts.load(tmp_path / "outputs" / "alone" / "dataset")
+    for name, column in artifacts.load(dataset).items():
+        assert column.tobytes() == alone[name].tobytes(), name
+
+
+def test_shards_and_seeds_may_be_swept_together_and_a_gap_is_one_line(qjrl, tmp_path) -> None:
+    size = ("stages=[sample]", "robot=qj_22", "sample.num_samples=4", "sample.shard_size=2", "name=shared")
+    assert qjrl("-m", *size, "sample.num_shards=2", "sample.shard=0", "seed=1,2").code == 0
+    assert qjrl("-m", *size, "seed=1,2").code == 1
+    rows = json.loads((tmp_path / "outputs" / "shared" / "sweep.json").read_text())
+    assert [row["status"] for row in rows] == ["bad input", "bad input"]
+    assert "seed=1/dataset.parts: rows 2 to 3 of 4 are missing" in rows[0]["error"]
+    assert qjrl("-m", *size, "sample.num_shards=2", "sample.shard=0,1", "seed=1,2").code == 0
+    for seed in (1, 2):
+        data = artifacts.load(tmp_path / "outputs" / "shared" / f"seed={seed}" / "dataset")
+        assert data["seed"].tolist() == [seed] * 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+def test_shards_are_made_by_processes_side_by_side(tmp_path, launcher) -> None:
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    size = ["stages=[sample]", "robot=qj_22", "sample.num_samples=64", "sample.shard_size=8"]
+    shards = ["sample.shard=0,1,2,3", f"hydra/launcher={launcher}"]
+    for arguments in (["-m", "name=shared", *shards], ["name=shared"], ["name=alone"]):
+        with in_a_process(["-m", "qjrl", *size, *arguments], tmp_path) as process:
+            out, error = process.communicate()
+        assert process.returncode == 0, error
+        if arguments == ["name=shared"]:
+            assert "sample: done before and unchanged, skipped" in out
+    shared, alone = (artifacts.load(tmp_path / "outputs" / name / "dataset") for name in ("shared", "alone"))
+    for name, column in shared.items():
+        assert column.tobytes() == alone[name].tobytes(), name
+
+
 WAITING = """
 import sys, time
 from qjrl import pipeline

@@ -123,6 +123,87 @@ def test_a_second_run_in_the_same_directory_is_refused(tmp_path, calls) -> None:
     assert calls == ["first", "second"]
 
 
+@dataclasses.dataclass(frozen=True)
+class ShareConfig:
+    """A stage that two processes may share: each writes its number, the whole adds them."""
+
+    seed: int
+    share: int | None = None
+
+    @property
+    def part(self) -> str | None:
+        return None if self.share is None else f"{self.share}-of-2"
+
+    def whole(self) -> "ShareConfig":
+        return ShareConfig(self.seed)
+
+    def parts(self) -> "dict[str | None, ShareConfig]":
+        configs = [ShareConfig(self.seed, share) for share in range(2)]
+        return {config.part: config for config in configs}
+
+
+@pytest.fixture
+def shared(calls, monkeypatch) -> list[str]:
+    """The first of the two fake stages becomes one that can be shared."""
+
+    def run_share(config: ShareConfig, inputs: dict[str, Path], out: Path) -> None:
+        calls.append(config.part or "whole")
+        if config.part:
+            return artifacts.write_json(out / "count.json", config.seed + (config.share or 0))
+        counts = [artifacts.load(path) for path in artifacts.parts_of(out).glob("*-of-2/count.json")]
+        artifacts.write_json(out / "count.json", sum(counts))
+
+    monkeypatch.setattr(sys.modules["fake_first"], "Config", ShareConfig)
+    monkeypatch.setattr(sys.modules["fake_first"], "run", run_share)
+    return calls
+
+
+def run_shared(run_dir: Path, share: int | None, stages: list[str], seed: int = 1) -> None:
+    tree = {"name": "t", "stages": stages, "seed": seed, "second": {}} | ({} if share is None else {"share": share})
+    pipeline.run(pipeline.selected(tree), pipeline.build_configs(tree), run_dir)
+
+
+def test_the_part_that_ends_last_makes_the_whole_and_a_run_of_the_whole_skips_it(tmp_path, shared) -> None:
+    run_shared(tmp_path, 1, ["first"])
+    run_shared(tmp_path, 1, ["first"])
+    assert shared == ["1-of-2"] and not (tmp_path / "one").exists()
+    run_shared(tmp_path, 0, ["first"])
+    assert shared == ["1-of-2", "0-of-2", "whole"]
+    run_shared(tmp_path, None, ["first", "second"])
+    assert shared == ["1-of-2", "0-of-2", "whole", "second"]
+    assert artifacts.load(tmp_path / "two" / "product.json") == 3.0
+    run_shared(tmp_path, 0, ["first"])
+    assert shared[-1] == "second"
+
+
+def test_a_part_of_another_configuration_does_not_make_the_whole(tmp_path, shared) -> None:
+    run_shared(tmp_path, 1, ["first"], seed=5)
+    run_shared(tmp_path, 0, ["first"])
+    assert shared == ["1-of-2", "0-of-2"]
+    run_shared(tmp_path, 1, ["first"])
+    assert shared == ["1-of-2", "0-of-2", "1-of-2", "whole"]
+    assert artifacts.load(tmp_path / "one" / "count.json") == 3
+    assert (tmp_path / "one.parts" / "1-of-2.previous").exists()
+
+
+def test_parts_are_made_beside_each_other_but_one_part_by_one_process(tmp_path, shared) -> None:
+    (tmp_path / "one.parts").mkdir()
+    with open(tmp_path / "one.parts" / ".0-of-2.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        run_shared(tmp_path, 1, ["first"])
+        with pytest.raises(ArtifactError, match="another run is at work here"):
+            run_shared(tmp_path, 0, ["first"])
+    assert shared == ["1-of-2"]
+
+
+def test_a_part_is_made_without_the_stages_that_need_the_whole(tmp_path, shared) -> None:
+    with pytest.raises(
+        ConfigError, match=r"^stages: got \[first,second\], allowed: \[first\] alone to make part 0-of-2"
+    ):
+        run_shared(tmp_path, 0, ["first", "second"])
+    assert shared == []
+
+
 def test_the_whole_configuration_is_checked_before_any_work(tmp_path, calls) -> None:
     with pytest.raises(ConfigError, match=r"^second.gain: got 'x'"):
         run(tmp_path, stages=["first"], second={"gain": "x"})

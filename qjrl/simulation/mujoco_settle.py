@@ -15,7 +15,7 @@ from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProbl
 def settle_mujoco(robot: Robot, problem: SettleProblem, config: SettleConfig, advance) -> RawSettled:
     """Run every row of `problem` to rest. A row's result does not depend on the pool, the threads or its neighbours."""
     num_rows = len(problem.joint_positions)
-    pool = _Pool(robot, config, min(config.batch_size, max(num_rows, 1)))
+    pool = Pool(robot, config, min(config.batch_size, max(num_rows, 1)))
     result = _empty_result(problem)
     waiting = 0  # next row to start
     while waiting < num_rows or pool.is_active.any():
@@ -31,7 +31,7 @@ def settle_mujoco(robot: Robot, problem: SettleProblem, config: SettleConfig, ad
 
 
 @dataclasses.dataclass
-class _Pool:
+class Pool:
     """The simulations side by side and how far each has come."""
 
     robot: Robot
@@ -40,7 +40,7 @@ class _Pool:
 
     def __post_init__(self):
         self.model = mujoco.MjModel.from_xml_string(build_mjcf(self.robot, self.config.solver))
-        self.batch = batch.Batch(self.model, self.size, self.config.num_threads or os.cpu_count() or 1)
+        self.batch = batch.Batch(self.model, self.size, self.config.num_threads or _usable_cores())
         self.positions, self.velocities = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.force, self.warning = self.batch.bind("actuator_force"), self.batch.warning
         self.tip = self.batch.site("tip")
@@ -94,6 +94,11 @@ class _Pool:
 
     def _speed(self) -> np.ndarray:
         return np.abs(self.velocities).mean(axis=1)
+
+
+def _usable_cores() -> int:
+    """Those that a cluster's scheduler leaves to this process, not all of the machine's."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _empty_result(problem: SettleProblem) -> RawSettled:

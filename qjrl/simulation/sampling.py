@@ -1,22 +1,26 @@
 """A data set of settled poses: low-discrepancy bends, their cable lengths, and where the physics rests."""
 
 import dataclasses
+import os
 import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
-from qjrl.artifacts import append_shard, read_manifest
+from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest, remove_unfinished
 from qjrl.config import ConfigError, Range
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.row_by_row import row_by_row
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
+
+COPIES_IN_MEMORY = 3
+"""Of each row, where a data set is used: the shards, their columns joined, and what a model is fitted on."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,34 +31,76 @@ class SampleConfig:
     """Rows of the data set; powers of two are the most even."""
     shard_size: Annotated[int, Range(1, 1_000_000)] = 1024
     """Rows settled and written at once: what an interruption can cost."""
+    shard: Annotated[int, Range(0, 9999)] | None = None
+    """Which of `num_shards` equal parts of the rows this process makes, counted from 0; null = all of them."""
+    num_shards: Annotated[int, Range(1, 10_000)] = 4
+    """Processes or machines that share the rows, where `shard` says which part is whose."""
+
+    def __post_init__(self):
+        if self.shard is not None and self.shard >= self.num_shards:
+            raise ValueError(f"shard: got {self.shard}, allowed: below num_shards = {self.num_shards}")
+        if self.shard is not None and self.num_shards > self.num_samples:
+            raise ValueError(f"num_shards: got {self.num_shards}, allowed: up to num_samples = {self.num_samples}")
 
 
 def sample_dataset(
     robot: Robot, simulation: SettleConfig, sample: SampleConfig, seed: int, directory: Path, advance=None
 ) -> None:
-    """Fill `directory` up to `num_samples` rows; goes on after the last shard that is there.
+    """Fill `directory` with the rows that `sample` asks for; goes on after what is there.
 
-    Row i is the i-th point of one scrambled Sobol sequence, so an interruption repeats and loses none.
+    Row i is the i-th point of one scrambled Sobol sequence, so an interruption repeats and loses none, and parts made
+    elsewhere are those of a single process.
 
     Raises:
-        ConfigError: the rows would not fit on the disk.
-        ArtifactError: the directory holds rows of another robot.
+        ConfigError: the rows would not fit on the disk or in memory.
+        ArtifactError: the directory holds rows of another robot or made with other settings.
     """
-    identity = robot_hash(robot)
-    done = rows_done(directory, identity)
-    _check_disk(robot, sample, done, directory)
-    while done < sample.num_samples:
-        count = min(sample.shard_size, sample.num_samples - done)
-        rows = sample_rows(robot, simulation, seed, done, count, advance)
-        append_shard(directory, rows, identity, seed=seed)
-        done += count
+    identity, settings = robot_hash(robot), row_settings(simulation, seed)
+    listed = shards_done(directory, identity)
+    if listed and (found := read_manifest(directory).get("settings")) not in (None, settings):
+        raise ArtifactError(f"{directory}: holds rows of other settings: {differences(found, settings)}")
+    missing = _missing_ranges(sample, listed)
+    _check_room(robot, sample, sum(count for _, count in missing), directory)
+    remove_unfinished(directory)
+    for first_row, count in missing:
+        rows = sample_rows(robot, simulation, seed, first_row, count, advance)
+        append_shard(directory, rows, identity, first_row, seed=seed, settings=settings)
+
+
+def shards_done(directory: Path, identity: str) -> list[dict[str, Any]]:
+    """What the manifest of a data set lists already."""
+    return read_manifest(directory, identity)["shards"] if (directory / MANIFEST).exists() else []
 
 
 def rows_done(directory: Path, identity: str) -> int:
     """Rows that the manifest of a data set lists already."""
-    if not (directory / "manifest.json").exists():
-        return 0
-    return sum(shard["rows"] for shard in read_manifest(directory, identity)["shards"])
+    return sum(shard["rows"] for shard in shards_done(directory, identity))
+
+
+def num_rows(sample: SampleConfig) -> int:
+    """Rows that this process makes."""
+    return sum(count for _, count in part_ranges(sample)) if sample.shard is not None else sample.num_samples
+
+
+def part_ranges(sample: SampleConfig) -> list[tuple[int, int]]:
+    """First row and number of rows of each file of one part: every `num_shards`-th of files as equal as can be."""
+    assert sample.shard is not None
+    files_per_part = -(-sample.num_samples // (sample.num_shards * sample.shard_size))
+    files = sample.num_shards * min(files_per_part, sample.num_samples // sample.num_shards)
+    starts = [index * sample.num_samples // files for index in range(files + 1)]
+    return [(starts[i], starts[i + 1] - starts[i]) for i in range(sample.shard, files, sample.num_shards)]
+
+
+def row_settings(simulation: SettleConfig, seed: int) -> dict[str, Any]:
+    """What the rows depend on besides the robot, by the keys of the configuration."""
+    names = ("backend", "timestep", "speed_tolerance", "hold_time", "max_time", "damping_scale")
+    return {"seed": seed} | {f"simulation.{name}": getattr(simulation, name) for name in names}
+
+
+def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """``seed is 1 there and 0 here``."""
+    keys = [key for key in {**found, **wanted} if found.get(key) != wanted.get(key)]
+    return ", ".join(f"{key} is {found.get(key)} there and {wanted.get(key)} here" for key in keys)
 
 
 def sample_rows(
@@ -62,9 +108,12 @@ def sample_rows(
 ) -> dict[str, np.ndarray]:
     """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
     numbers = _sobol(2 * robot.num_segments, seed, start, count)
-    to_lengths = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))
-    lengths = np.asarray(to_lengths(jnp.asarray(numbers)), np.float64)
+    lengths = np.asarray(row_by_row(_lengths_from_unit_cube, robot, numbers), np.float64)
     return dataset_rows(lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
+
+
+def _lengths_from_unit_cube(robot: Robot, numbers: jax.Array) -> jax.Array:
+    return cable_lengths(robot, bends_from_unit_cube(robot, numbers))
 
 
 def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[str, np.ndarray]:
@@ -82,6 +131,15 @@ def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[s
     }
 
 
+def _missing_ranges(sample: SampleConfig, listed: list[dict[str, Any]]) -> list[tuple[int, int]]:
+    """First row and number of rows of each file still to be made."""
+    if sample.shard is not None:
+        done = {(shard["first_row"], shard["rows"]) for shard in listed}
+        return [file for file in part_ranges(sample) if file not in done]
+    starts = range(sum(shard["rows"] for shard in listed), sample.num_samples, sample.shard_size)
+    return [(start, min(sample.shard_size, sample.num_samples - start)) for start in starts]
+
+
 def _sobol(dimensions: int, seed: int, start: int, count: int) -> np.ndarray:
     """Points start .. start + count of the scrambled sequence, (count, dimensions)."""
     sequence = qmc.Sobol(dimensions, rng=seed)
@@ -90,13 +148,22 @@ def _sobol(dimensions: int, seed: int, start: int, count: int) -> np.ndarray:
     return sequence.random(2 ** (count - 1).bit_length())[:count]  # scipy warns of anything but a power of two
 
 
-def _check_disk(robot: Robot, sample: SampleConfig, done: int, directory: Path) -> None:
-    """Refuse what the rows still to come cannot be written to."""
+def _check_room(robot: Robot, sample: SampleConfig, missing: int, directory: Path) -> None:
+    """Refuse what the rows still to come cannot be written to, and what no stage could load."""
     numbers_per_row = robot.num_cables + 9 + 2 * robot.num_segments + robot.num_strands + 5 * robot.num_joints + 4
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
-    free = shutil.disk_usage(existing).free
-    fitting = done + free // (8 * numbers_per_row)
-    if sample.num_samples > fitting:
-        raise ConfigError(
-            f"sample.num_samples: got {sample.num_samples}, allowed: up to {fitting}, which fit on the disk"
-        )
+    on_disk = num_rows(sample) - missing + shutil.disk_usage(existing).free // (8 * numbers_per_row)
+    if num_rows(sample) > on_disk:
+        _refuse(sample, on_disk * sample.num_samples // num_rows(sample), "fit on the disk")
+    in_memory = _memory() // (8 * numbers_per_row * COPIES_IN_MEMORY)
+    if sample.num_samples > in_memory:
+        _refuse(sample, in_memory, "can be loaded into memory")
+
+
+def _refuse(sample: SampleConfig, allowed: int, why: str) -> None:
+    raise ConfigError(f"sample.num_samples: got {sample.num_samples}, allowed: up to {allowed}, which {why}")
+
+
+def _memory() -> int:
+    """Memory of this machine [bytes]."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")

@@ -7,6 +7,7 @@ from flax import struct
 from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
+from qjrl.simulation.row_by_row import row_by_row
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 # Below this tension [N] a strand counts as slack.
@@ -76,14 +77,13 @@ def settle(
 
 def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
     """Start every simulation at the nominal pose: the same equilibrium as from home, in half the steps."""
-    positions, commands = _starts_and_commands(robot, lengths)
+    positions, commands = row_by_row(_start_and_command, robot, lengths)
     return SettleProblem(np.asarray(positions, np.float64), np.asarray(commands, np.float64))
 
 
-@jax.jit
-def _starts_and_commands(robot: Robot, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    starts = jax.vmap(lambda row: joint_positions(robot, _within_reach(robot, bends_from_cables(robot, row))))
-    return starts(lengths), jax.vmap(lambda row: strand_commands(robot, row))(lengths)
+def _start_and_command(robot: Robot, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
+    bends = _within_reach(robot, bends_from_cables(robot, lengths))
+    return joint_positions(robot, bends), strand_commands(robot, lengths)
 
 
 def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
@@ -102,7 +102,7 @@ def _load_backend(name: str):
 
 
 def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
-    bends, manifold = (np.asarray(rows) for rows in _bends_and_manifold(robot, raw.joint_positions))
+    bends, manifold = row_by_row(_bends_and_manifold, robot, raw.joint_positions)
     return SettleResult(
         pose=raw.pose,
         bends=bends,
@@ -115,7 +115,6 @@ def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
     )
 
 
-@jax.jit
 def _bends_and_manifold(robot: Robot, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
-    bends = jax.vmap(lambda row: configuration_from_joint_positions(robot, row))(positions)
-    return bends, jax.vmap(lambda row: joint_positions(robot, row))(bends)
+    bends = configuration_from_joint_positions(robot, positions)
+    return bends, joint_positions(robot, bends)

@@ -2,14 +2,16 @@
 
 import dataclasses
 import logging
+import shutil
 from pathlib import Path
 
 import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.robot import robot_from_mapping, robot_hash
-from qjrl.simulation.sampling import SampleConfig, rows_done, sample_dataset
+from qjrl.simulation.sampling import SampleConfig, num_rows, row_settings, rows_done, sample_dataset
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.sharding import join_parts
 
 log = logging.getLogger(__name__)
 
@@ -21,14 +23,42 @@ class Config:
     sample: SampleConfig
     seed: int
 
+    @property
+    def part(self) -> str | None:
+        """Name of the part of the rows that this process makes; None: all of them."""
+        return None if self.sample.shard is None else f"{self.sample.shard}-of-{self.sample.num_shards}"
+
+    def whole(self) -> "Config":
+        """All rows: the same for every part and every number of parts."""
+        sample = dataclasses.replace(self.sample, shard=None, num_shards=SampleConfig.num_shards)
+        return dataclasses.replace(self, sample=sample)
+
+    def parts(self) -> dict[str, "Config"]:
+        """Every part that the whole is made of."""
+        samples = [dataclasses.replace(self.sample, shard=shard) for shard in range(self.sample.num_shards)]
+        configs = [dataclasses.replace(self, sample=sample) for sample in samples]
+        return {str(config.part): config for config in configs}
+
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `manifest.json` and shards; see `qjrl.simulation.sampling`."""
+    """Write `manifest.json` and shards; see `qjrl.simulation.sampling` and, where parts are there, `sharding`."""
     del inputs
     robot = robot_from_mapping(config.robot)
-    done = rows_done(out, robot_hash(robot))
-    with progress.track(config.sample.num_samples, "settling", already=done) as advance:
+    total, identity = num_rows(config.sample), robot_hash(robot)
+    parts = artifacts.parts_of(out)
+    if config.part is None and parts.exists():
+        _join(config, parts, out, identity)
+    with progress.track(total, "settling", already=rows_done(out, identity)) as advance:
         sample_dataset(robot, config.simulation, config.sample, config.seed, out, advance)
-    data = artifacts.load(out, robot_hash(robot))
+    data = artifacts.load(out, identity)
     unsettled = int(np.sum(~data["converged"]))
     log.info("sample: %d rows, %d never settled and are left out of training", len(data["seed"]), unsettled)
+
+
+def _join(config: Config, parts: Path, out: Path, identity: str) -> None:
+    """Parts that other processes made become the data set; they go once it stands."""
+    if rows_done(out, identity) < config.sample.num_samples:
+        settings = row_settings(config.simulation, config.seed)
+        join_parts(parts, out, identity, settings, config.sample.num_samples)
+        log.info("sample: joined the rows of %s", parts.name)
+    shutil.rmtree(parts, ignore_errors=True)

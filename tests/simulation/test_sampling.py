@@ -128,6 +128,24 @@ def test_more_samples_than_fit_on_the_disk_are_one_line_and_nothing_is_written(t
     assert not (tmp_path / "new").exists()
 
 
+def test_more_samples_than_can_be_loaded_into_memory_are_one_line_and_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(sampling, "_memory", lambda: 1_000_000)
+    message = r"^sample\.num_samples: got 99999999, allowed: up to \d{3}, which can be loaded into memory$"
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=10**15))
+    with pytest.raises(ConfigError, match=message):
+        dataset(tmp_path / "new", 99_999_999, 1024)
+    with pytest.raises(ConfigError, match=message):
+        sample_dataset(ARM, SETTLE, SampleConfig(99_999_999, 1024, shard=0), 0, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_row_has_the_same_bits_whatever_rows_come_with_it():
+    alone = sample_rows(ARM, SETTLE, seed=0, start=5, count=1)
+    for name, column in settled_rows().items():
+        np.testing.assert_array_equal(alone[name], column[5:6], err_msg=name)
+
+
 def test_rows_on_the_disk_already_need_no_room(whole, tmp_path, monkeypatch):
     dataset(tmp_path, 12, 8)
     usage = shutil.disk_usage(tmp_path)

@@ -1,0 +1,76 @@
+"""Settled samples per second, and the share of bare MuJoCo's rate that settling turns into useful steps."""
+
+import tempfile
+import time
+from pathlib import Path
+
+import jax
+import mujoco
+import numpy as np
+
+from qjrl import artifacts
+from qjrl.provenance import provenance
+from qjrl.robot import load_robot
+from qjrl.simulation.mujoco_settle import Pool, settle_mujoco
+from qjrl.simulation.sampling import SampleConfig, sample_dataset, sample_rows
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import nominal_problem
+
+ROBOT, NUM_ROWS, SHARD_SIZE, NUM_BARE_STEPS, NUM_REPEATS = "qj_2222", 2048, 1024, 60, 3
+
+
+def bare_rate(robot, config, problem) -> float:
+    """Steps per second of `mujoco.batch` alone, on the model that settles, with every simulation of the pool active."""
+    pool = Pool(robot, config, config.batch_size)
+    every = np.arange(config.batch_size)
+    pool.start(every, every, problem)
+    pool.batch.step()
+    start = time.perf_counter()
+    for _ in range(NUM_BARE_STEPS):
+        pool.batch.step()
+    return config.batch_size * NUM_BARE_STEPS / (time.perf_counter() - start)
+
+
+def settle_rate(robot, config, problem) -> tuple[float, np.ndarray]:
+    """Steps per second of settling, counting those of the rows alone, and the steps that each row took."""
+    start = time.perf_counter()
+    steps = settle_mujoco(robot, problem, config, lambda count: None).steps
+    return steps.sum() / (time.perf_counter() - start), steps
+
+
+def bench_efficiency(robot, config, lengths) -> None:
+    problem = nominal_problem(robot, lengths)
+    ratios, steps = [], np.zeros(0)
+    for _ in range(NUM_REPEATS):
+        before = bare_rate(robot, config, problem)
+        rate, steps = settle_rate(robot, config, problem)
+        bare = 0.5 * (before + bare_rate(robot, config, problem))
+        ratios.append(rate / bare)
+        print(f"  {rate:7,.0f} useful steps/s settling, {bare:7,.0f} bare; settling / bare = {ratios[-1]:.2f}")
+    print(f"  settling / bare, median of {NUM_REPEATS} = {np.median(ratios):.2f}")
+    print(f"  steps a row: mean {steps.mean():.0f}, 99th percentile {np.percentile(steps, 99):.0f}, most {steps.max()}")
+
+
+def bench_data_set(robot, config) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        sample_dataset(robot, config, SampleConfig(NUM_ROWS, SHARD_SIZE), 0, Path(folder))
+        seconds = time.perf_counter() - start
+        converged = artifacts.load(folder)["converged"]
+    print(f"  {NUM_ROWS / seconds:.0f} samples/s with their files, {np.sum(~converged)} of {NUM_ROWS} never settled")
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    machine = provenance({}, None, None)["hardware"]
+    robot, config = load_robot(ROBOT), SettleConfig()
+    print(f"{machine['cpu']}, {machine['cores']} cores; mujoco {mujoco.__version__}")
+    print(f"{ROBOT}, {NUM_ROWS} rows, to {config.speed_tolerance:g} rad/s")
+    hurried = SettleConfig(max_time=0.1)  # compiles, and gives the commands
+    lengths = sample_rows(robot, hurried, seed=0, start=0, count=NUM_ROWS)["cable_lengths"]
+    bench_efficiency(robot, config, lengths)
+    bench_data_set(robot, config)
+
+
+if __name__ == "__main__":
+    main()
