@@ -22,7 +22,7 @@ from qjrl.simulation.row_by_row import row_by_row
 from qjrl.simulation.settle_problem import SettleConfig
 
 ROWS_PER_SHARD = 2
-SHARDS_PER_KILL = 3
+SHARDS_PER_KILL = 2
 SIMULATION = SettleConfig(batch_size=2, num_threads=1)
 
 
@@ -65,7 +65,7 @@ def main(folder: Path, kills: int) -> None:
     remember_what_jax_computes()
     sample(robot, folder / "whole", SHARDS_PER_KILL * kills)
     start = time.monotonic()
-    os.waitpid(forked(robot, folder / "timed", 4), 0)
+    os.waitpid(forked(robot, folder / "timed", 3), 0)
     longest = time.monotonic() - start
     for _ in range(kills):
         child = forked(robot, folder / "killed", SHARDS_PER_KILL * kills)
