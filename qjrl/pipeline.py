@@ -86,6 +86,13 @@ STAGES: dict[str, Stage] = {
         writes="open_loop",
         default=False,
     ),
+    "export": Stage(
+        "qjrl.stages.export",
+        "write forward model and inverse kinematics as files that run without qjrl",
+        reads=("sample", "forward_model"),
+        writes="export",
+        default=False,
+    ),
     "describe": Stage(
         "qjrl.stages.describe",
         "say what an arm is: strokes, tensions, reach, a picture",

@@ -5,7 +5,7 @@ import pytest
 from arms import MADE_UP, arm_named, over_rows, random_bends
 
 from qjrl.robot import forward_kinematics
-from qjrl.robot.quaternion_arm.tip import tip_pose, tip_position
+from qjrl.robot.quaternion_arm.tip import tip_pose, tip_poses, tip_position
 
 
 @pytest.mark.parametrize("name", ["qj_2222", "qj_huang_4332_480", *MADE_UP])
@@ -15,6 +15,7 @@ def test_the_tip_carried_back_is_the_tip_of_the_forward_kinematics(name):
     expected = over_rows(forward_kinematics, arm, bends)
     np.testing.assert_allclose(over_rows(tip_pose, arm, bends), expected, atol=1e-13)
     np.testing.assert_allclose(over_rows(tip_position, arm, bends), expected[:, :3], atol=1e-13)
+    np.testing.assert_allclose(tip_poses(arm, jnp.asarray(bends)), expected, atol=1e-13)
 
 
 def test_single_precision_costs_less_than_two_micrometres():

@@ -6,6 +6,7 @@ v' = (-x, -y, z) and n the joint's half-way direction; no matrix is formed. In f
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.robot.quaternion_arm.description import QuaternionArm
@@ -25,6 +26,26 @@ def tip_pose(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Arr
     zero, one = jnp.zeros((), bends.dtype), jnp.ones((), bends.dtype)
     point, (x, y) = _carry_back(arm, bends, (zero, zero, zero), ((one, zero, zero), (zero, one, zero)))
     return jnp.stack([*point, *x, *y])
+
+
+def tip_poses(arm: QuaternionArm, bends: Float[Array, "batch segments 2"]) -> Float[Array, "batch 9"]:
+    """Poses of the tip for a batch, equal to `forward_kinematics`: a few operations on whole arrays a joint.
+
+    For converters to other formats, which neither loop nor index: the point and the two directions of the tip frame
+    are the rows of one (batch, 3, 3) array.
+    """
+    cosines = jnp.sqrt(1.0 - jnp.sum(bends**2, axis=2, keepdims=True))
+    heights = height_of_cosine(arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin, cosines)
+    normals = jnp.concatenate([bends, cosines], axis=2)  # (batch, segments, 3)
+    is_point, half_turn = jnp.array([[1.0], [0.0], [0.0]], bends.dtype), jnp.array([-1.0, -1.0, 1.0], bends.dtype)
+    link = is_point * jnp.array([0.0, 0.0, 1.0], bends.dtype) * arm.link_length
+    vectors = jnp.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]], bends.dtype)
+    for segment in np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)[::-1].tolist():
+        normal, height = normals[:, segment : segment + 1], heights[:, segment : segment + 1]
+        turned = (vectors + link) * half_turn
+        along = is_point * height + 2.0 * jnp.sum(turned * normal, axis=2, keepdims=True)
+        vectors = along * normal - turned
+    return vectors.reshape(-1, 9)
 
 
 def _carry_back(arm: QuaternionArm, bends, point: Vector, directions: tuple[Vector, ...]):

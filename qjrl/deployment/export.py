@@ -1,0 +1,194 @@
+"""Forward model and inverse kinematics as files for a controller: made in memory, checked, and only then written."""
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import numpy as np
+
+from qjrl import artifacts
+from qjrl.artifacts import ArtifactError
+from qjrl.config import ConfigError
+from qjrl.deployment import onnx_model, stablehlo
+from qjrl.deployment.compact_ik import CompactIKConfig, compact_ik
+from qjrl.deployment.contract import FORMAT, function_contract, robot_contract
+from qjrl.deployment.functions import (
+    DeployedFunction,
+    Precision,
+    SolveFunction,
+    forward_function,
+    in_precision,
+    inverse_function,
+)
+from qjrl.deployment.parity import LoadedFunction, ParityConfig, check_forward, check_inverse, make_reference
+from qjrl.robot.forward_model import ForwardModel, pose_function
+from qjrl.robot.model_fitting import pose_errors, split_rows
+from qjrl.robot.verbs import Robot
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportConfig:
+    """Group `export`."""
+
+    platforms: tuple[Literal["cpu", "cuda", "rocm", "tpu"], ...] = ("cpu", "cuda")
+    """Where the StableHLO files shall run."""
+    precision: Precision = "float32"
+    """Of what goes in and out and of the kinematics; the network itself computes in float32."""
+    onnx: bool = True
+    """Write the forward model as ONNX too, where the extra [onnx] is installed."""
+    ik: CompactIKConfig = CompactIKConfig()
+    """The solver in the file."""
+    parity: ParityConfig = ParityConfig()
+    """What is compared with the package before a file is written."""
+
+    def __post_init__(self):
+        if not self.platforms:
+            raise ConfigError("platforms: got [], allowed: at least one of cpu, cuda, rocm, tpu")
+
+
+@dataclasses.dataclass(frozen=True)
+class Export:
+    """Checked files, not yet written."""
+
+    files: dict[str, bytes]
+    functions: dict[str, dict[str, Any]]
+    """Their part of the contract."""
+    metrics: dict[str, Any]
+    """Parity and accuracy."""
+
+
+def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
+    """The settled rows that the fit in `forward_model` never saw.
+
+    Args:
+        config: the `ForwardModelConfig` of the fit.
+    Raises:
+        ArtifactError: the data set is not the one that was fitted.
+    """
+    fitted_on = (artifacts.done_marker(forward_model) or {}).get("inputs", {}).get("sample")
+    if fitted_on != (artifacts.done_marker(dataset) or {}).get("output_hash"):
+        raise ArtifactError(
+            f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
+        )
+    seed = artifacts.load(forward_model / artifacts.PROVENANCE)["seed"]
+    data = artifacts.load(dataset)
+    settled = {name: column[data["converged"]] for name, column in data.items()}
+    _, held_out = split_rows(len(settled["seed"]), config.held_out, seed)
+    return {name: column[held_out] for name, column in settled.items()}
+
+
+def export_controller(
+    robot: Robot,
+    model: ForwardModel,
+    config: ExportConfig,
+    held_out: Mapping[str, np.ndarray],
+    seed: int,
+    solve: SolveFunction | None = None,
+) -> Export:
+    """Make the files of a robot and its model and check every one.
+
+    Args:
+        held_out: columns of rows that the fit never saw.
+        seed: of the rows that are compared and of the solver's starts.
+        solve: inverse kinematics to export, target (9,) -> outputs; default: `compact_ik` as configured.
+    Raises:
+        ParityError: a file computes something else than the package.
+    """
+    inner, live = in_precision(robot, config.precision), pose_function(robot, model)
+    forward = forward_function(robot, model, config.precision)
+    solve = solve or compact_ik(inner, pose_function(inner, model), config.ik, seed)
+    inverse = inverse_function(robot, solve)
+    files = _make_files(robot, model, config, forward, inverse)
+    calls: dict[str, LoadedFunction] = {
+        name: (onnx_model if name == ONNX_FILE else stablehlo).load(content) for name, content in files.items()
+    }
+    reference = make_reference(robot, live, held_out, config.precision, config.parity, seed + PARITY_SEED)
+    package = jax.jit(jax.vmap(solve))
+    checks = {
+        name: check_inverse(name, call, package, reference)
+        if name == INVERSE_FILE
+        else check_forward(name, call, reference)
+        for name, call in calls.items()
+    }
+    functions = {
+        forward.name: _described(forward, config, {name: files[name] for name in files if name != INVERSE_FILE}),
+        inverse.name: _described(inverse, config, {INVERSE_FILE: files[INVERSE_FILE]}),
+    }
+    return Export(files, functions, {"parity": checks, "accuracy": _accuracy(calls[FORWARD_FILE], held_out, config)})
+
+
+def write_export(export: Export, robot: Robot, precision: Precision, provenance: Mapping[str, Any], out: Path) -> None:
+    """The files, each whole or not at all, then `contract.json` and `metrics.json`."""
+    for name, content in export.files.items():
+        artifacts.write_bytes(out / name, content)
+    about = {
+        "format": FORMAT,
+        "precision": precision,
+        "functions": export.functions,
+        "versions": provenance["versions"] | (onnx_model.versions() if ONNX_FILE in export.files else {}),
+        "code": provenance["code"],
+        "config_hash": provenance["config_hash"],
+        "inputs": provenance["inputs"],
+    }
+    artifacts.write_json(out / "contract.json", about | robot_contract(robot) | export.metrics)
+    artifacts.write_json(out / "metrics.json", export.metrics)
+
+
+def _make_files(
+    robot: Robot, model: ForwardModel, config: ExportConfig, forward: DeployedFunction, inverse: DeployedFunction
+) -> dict[str, bytes]:
+    files = {
+        FORWARD_FILE: stablehlo.serialise(forward, config.precision, config.platforms),
+        INVERSE_FILE: stablehlo.serialise(inverse, config.precision, config.platforms),
+    }
+    if _makes_onnx(config):
+        files[ONNX_FILE] = onnx_model.onnx_bytes(robot, model, forward, config.precision)
+    return files
+
+
+def _accuracy(call: LoadedFunction, held_out: Mapping[str, np.ndarray], config: ExportConfig) -> dict[str, Any]:
+    """Errors of the exported forward model on all held-out rows."""
+    poses = np.asarray(call(held_out["cable_lengths"].astype(config.precision))["pose"], np.float64)
+    return {"held_out_rows": len(poses), **pose_errors(poses, held_out["pose"])}
+
+
+def _makes_onnx(config: ExportConfig) -> bool:
+    """Whether to, and where the extra is missing, the line that says how."""
+    missing = onnx_model.missing_packages() if config.onnx else []
+    if missing:
+        log.warning(
+            "export: no ONNX file, %s is not installed: pip install 'qjrl[onnx]', remove the export's done.json, run again",
+            ", ".join(missing),
+        )
+    return config.onnx and not missing
+
+
+def _described(deployed: DeployedFunction, config: ExportConfig, files: Mapping[str, bytes]) -> dict[str, Any]:
+    kinds = {".stablehlo": _about_stablehlo(config), ".onnx": {"format": "ONNX", "opset": onnx_model.OPSET}}
+    listed = {
+        name: kinds[Path(name).suffix] | {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+        for name, content in files.items()
+    }
+    return function_contract(deployed, config.precision, listed)
+
+
+def _about_stablehlo(config: ExportConfig) -> dict[str, Any]:
+    return {
+        "format": "StableHLO, jax.export",
+        "platforms": list(config.platforms),
+        "made_by_jax": importlib.metadata.version("jax"),
+    }
+
+
+FORWARD_FILE = "forward_model.stablehlo"
+INVERSE_FILE = "inverse_kinematics.stablehlo"
+ONNX_FILE = "forward_model.onnx"
+# Offset of the run's seed: no row that is compared is one of the solver's starts.
+PARITY_SEED = 3_000_017

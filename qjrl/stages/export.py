@@ -1,0 +1,41 @@
+"""Stage `export`: forward model and inverse kinematics as files that run without qjrl, and the contract beside them."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+from qjrl import artifacts, progress
+from qjrl.deployment.export import ExportConfig, export_controller, held_out_rows, write_export
+from qjrl.robot import robot_from_mapping
+from qjrl.robot.forward_model import load_forward_model
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    export: ExportConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `*.stablehlo`, `forward_model.onnx`, `contract.json` and `metrics.json`, or nothing if a check fails."""
+    robot = robot_from_mapping(config.robot)
+    model = load_forward_model(inputs["forward_model"] / "model", robot)
+    held_out = held_out_rows(inputs["sample"], inputs["forward_model"], model.config)
+    with progress.compiling("the exported functions and their checks"):
+        export = export_controller(robot, model, config.export, held_out, config.seed)
+    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    write_export(export, robot, config.export.precision, provenance, out)
+    for file, report in export.metrics["parity"].items():
+        log.info("export: %s", _line(file, report))
+
+
+def _line(file: str, report: dict) -> str:
+    """The worst numbers of a file over its sets of rows."""
+    worst = lambda key: max(rows[key] for rows in report.values())  # noqa: E731
+    if "position_difference" in report["random"]:
+        return f"{file} is within {1e6 * worst('position_difference'):.2g} µm and {worst('orientation_difference'):.2g} rad"
+    shares = ", ".join(f"{rows['converged_share']:.1%} of {name}" for name, rows in report.items())
+    return f"{file} solves {shares} targets and states its errors to {1e6 * worst('position_error_difference'):.2g} µm"
