@@ -27,6 +27,7 @@ from qjrl.robot import bends_from_cables
 from qjrl.robot.forward_model import pose_function
 from qjrl.robot.model_fitting import split_rows
 
+pytestmark = pytest.mark.skipif(bool(onnx_model.missing_packages()), reason="needs the extra onnx, which dev includes")
 ROOT = Path(__file__).parent.parent.parent
 MODEL = untrained_model()
 LIVE = pose_function(ARM, MODEL)
