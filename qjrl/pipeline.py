@@ -50,11 +50,7 @@ class Stage:
 
 
 STAGES: dict[str, Stage] = {
-    "sample": Stage(
-        "qjrl.stages.sample",
-        "settle cable commands in MuJoCo and write the data set",
-        writes="dataset",
-    ),
+    "sample": Stage("qjrl.stages.sample", "settle cable commands in MuJoCo and write the data set", writes="dataset"),
     "forward_model": Stage(
         "qjrl.stages.forward_model",
         "fit cable lengths -> pose on the data set",
@@ -93,6 +89,13 @@ STAGES: dict[str, Stage] = {
         writes="export",
         default=False,
     ),
+    "accuracy": Stage(
+        "qjrl.stages.accuracy",
+        "judge every controller open loop and with pose measurements",
+        reads=("sample", "forward_model"),
+        writes="accuracy",
+        default=False,
+    ),
     "describe": Stage(
         "qjrl.stages.describe",
         "say what an arm is: strokes, tensions, reach, a picture",
@@ -100,10 +103,7 @@ STAGES: dict[str, Stage] = {
         default=False,
     ),
     "workspace": Stage(
-        "qjrl.stages.workspace",
-        "measure and compare what the tips of arms reach",
-        writes="workspace",
-        default=False,
+        "qjrl.stages.workspace", "measure and compare what the tips of arms reach", writes="workspace", default=False
     ),
     "elliptical_deviation": Stage(
         "qjrl.stages.elliptical_deviation",

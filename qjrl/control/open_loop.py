@@ -1,7 +1,6 @@
 """Every inverse-kinematics method on the same targets, its commands settled in the physics: no feedback, no policy."""
 
 import dataclasses
-from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
@@ -37,6 +36,18 @@ class OpenLoopRun:
     rest: SettleResult
 
 
+def first_commands(
+    robot: Robot, model: PoseFunction, ik: IKConfig, fabrik: FabrikConfig, targets: np.ndarray, seed: int
+) -> dict[str, SolveResult]:
+    """Controller -> answers for targets (n, 9). FABRIK and least squares invert the closed form, from home."""
+    home = np.zeros((robot.num_segments, 2))
+    return {
+        "fabrik": solve_fabrik(robot, targets, home, fabrik),
+        "least_squares": solve_least_squares(robot, targets, home, ik.least_squares),
+        "learned_ik": solve_model(robot, targets, model, ik, seed),
+    }
+
+
 def run_open_loop(
     robot: Robot,
     model: PoseFunction,
@@ -54,16 +65,8 @@ def run_open_loop(
         advance: called with the number of newly settled commands.
     """
     targets = target_poses(robot, draw_bends(robot, target_set, config.num_targets, seed + _SEED, ik.targets))
-    solvers: dict[str, Callable[[], SolveResult]] = {
-        "fabrik": lambda: solve_fabrik(robot, targets, config=config.fabrik),
-        "least_squares": lambda: solve_least_squares(
-            robot, targets, np.zeros((robot.num_segments, 2)), ik.least_squares
-        ),
-        "learned_ik": lambda: solve_model(robot, targets, model, ik, seed + _SEED),
-    }
     runs = {}
-    for name, solve in solvers.items():
-        solved = solve()
+    for name, solved in first_commands(robot, model, ik, config.fabrik, targets, seed + _SEED).items():
         rest = settle(robot, np.asarray(solved.cable_lengths), config=simulation, advance=advance)
         runs[name] = OpenLoopRun(solved, rest)
     return targets, runs

@@ -10,6 +10,7 @@ import pytest
 from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.config import as_mapping, conf_folder, read_yaml
+from qjrl.control.accuracy import AccuracyConfig
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
 from qjrl.control.open_loop import OpenLoopConfig
@@ -24,7 +25,7 @@ from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.sampling import SampleConfig
 from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
-from qjrl.stages import open_loop
+from qjrl.stages import accuracy, open_loop
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {"nominal", "learned_ik", "learned_ik+residual"}
@@ -221,3 +222,24 @@ def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
         ratio = np.median(errors["fabrik"]) / np.median(errors["learned_ik"])
         assert metrics["ratios"][target_set]["fabrik"] == pytest.approx(ratio)
         assert (tmp_path / f"{target_set}.png").stat().st_size > 10_000
+
+
+def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path):
+    config = accuracy.Config(
+        read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
+        CONFIGS["simulation"],
+        CONFIGS["ik"],
+        AccuracyConfig(num_targets=6, measurements=1, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
+        seed=0,
+    )
+    accuracy.run(config, {"sample": finished / "dataset", "forward_model": finished / "forward_model"}, tmp_path)
+    metrics, raw = artifacts.load(tmp_path / "metrics.json"), artifacts.load(tmp_path / "errors.npz")
+    assert metrics.keys() == {"fabrik", "least_squares", "learned_ik"}
+    for name, found in metrics.items():
+        assert [row["measurements"] for row in found["exact"]] == [0, 1]
+        np.testing.assert_array_equal(raw[f"{name}/exact/position_error"][0], raw[f"{name}/noisy/position_error"][0])
+        assert found["exact"][1]["position_median_mm"] == pytest.approx(
+            1e3 * np.nanmedian(raw[f"{name}/exact/position_error"][1])
+        )
+    solved = metrics["least_squares"]["exact"]
+    assert solved[1]["position_median_mm"] < 0.1 * solved[0]["position_median_mm"]
