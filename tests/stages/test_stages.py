@@ -224,6 +224,7 @@ def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
         assert (tmp_path / f"{target_set}.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path):
     config = accuracy.Config(
         read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
