@@ -28,7 +28,7 @@ class FabrikConfig:
     """lambda of Eq. 14: what part of the roll error an outer iteration turns the arm by."""
     inner_iterations: Annotated[int, Range(1, 10_000)] = 10
     """Forward and backward stages of one outer iteration, at most."""
-    outer_iterations: Annotated[int, Range(1, 100_000)] = 400
+    outer_iterations: Annotated[int, Range(1, 100_000)] = 2500
     """Turns of the whole arm, at most."""
     patience: Annotated[int, Range(1, 10_000)] = 20
     """Outer iterations after which progress is looked at."""
