@@ -258,6 +258,7 @@ def test_a_sweep_over_shards_fills_one_data_set_and_the_rest_goes_on_from_there(
         assert column.tobytes() == alone[name].tobytes(), name
 
 
+@pytest.mark.slow
 def test_shards_and_seeds_may_be_swept_together_and_a_gap_is_one_line(qjrl, tmp_path) -> None:
     size = ("stages=[sample]", "robot=qj_22", "sample.num_samples=4", "sample.shard_size=2", "name=shared")
     assert qjrl("-m", *size, "sample.num_shards=2", "sample.shard=0", "seed=1,2").code == 0

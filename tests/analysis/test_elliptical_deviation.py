@@ -117,6 +117,7 @@ def test_bends_stay_within_their_own_limit(robot):
     assert 0.29 < largest <= 0.3
 
 
+@pytest.mark.slow
 def test_the_stage_settles_what_the_closed_form_says(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "STAGES", {"elliptical_deviation": pipeline.STAGES["elliptical_deviation"]})
     study = DeviationConfig((JointVariant("wide", 0.014, 0.0),), num_poses=200, num_settled=3)

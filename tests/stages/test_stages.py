@@ -203,6 +203,7 @@ def test_a_dataset_of_another_robot_is_refused_in_one_line(run_dir):
         pipeline.run(pipeline.selected(other), pipeline.build_configs(other), run_dir)
 
 
+@pytest.mark.slow
 def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
     config = open_loop.Config(
         read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
