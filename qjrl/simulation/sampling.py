@@ -35,6 +35,11 @@ class SampleConfig:
     """Which of `num_shards` equal parts of the rows this process makes, counted from 0; null = all of them."""
     num_shards: Annotated[int, Range(1, 10_000)] = 4
     """Processes or machines that share the rows, where `shard` says which part is whose."""
+    home_share: Annotated[float, Range(0.0, 1.0)] = 0.25
+    """Share of the rows whose bends are all scaled down by a common number, uniform in [0, 1].
+
+    Without them hardly a row of eight dimensions lies near home, and there the model is worse than the closed form.
+    """
 
     def __post_init__(self):
         if self.shard is not None and self.shard >= self.num_shards:
@@ -55,7 +60,7 @@ def sample_dataset(
         ConfigError: the rows would not fit on the disk or in memory.
         ArtifactError: the directory holds rows of another robot or made with other settings.
     """
-    identity, settings = robot_hash(robot), row_settings(simulation, seed)
+    identity, settings = robot_hash(robot), row_settings(simulation, sample.home_share, seed)
     listed = shards_done(directory, identity)
     if listed and (found := read_manifest(directory).get("settings")) not in (None, settings):
         raise ArtifactError(f"{directory}: holds rows of other settings: {differences(found, settings)}")
@@ -63,7 +68,7 @@ def sample_dataset(
     _check_room(robot, sample, sum(count for _, count in missing), directory)
     remove_unfinished(directory)
     for first_row, count in missing:
-        rows = sample_rows(robot, simulation, seed, first_row, count, advance)
+        rows = sample_rows(robot, simulation, seed, first_row, count, advance, sample.home_share)
         append_shard(directory, rows, identity, first_row, seed=seed, settings=settings)
 
 
@@ -91,10 +96,11 @@ def part_ranges(sample: SampleConfig) -> list[tuple[int, int]]:
     return [(starts[i], starts[i + 1] - starts[i]) for i in range(sample.shard, files, sample.num_shards)]
 
 
-def row_settings(simulation: SettleConfig, seed: int) -> dict[str, Any]:
+def row_settings(simulation: SettleConfig, home_share: float, seed: int) -> dict[str, Any]:
     """What the rows depend on besides the robot, by the keys of the configuration."""
     names = ("backend", "timestep", "speed_tolerance", "hold_time", "max_time", "damping_scale")
-    return {"seed": seed} | {f"simulation.{name}": getattr(simulation, name) for name in names}
+    settled = {f"simulation.{name}": getattr(simulation, name) for name in names}
+    return {"seed": seed, "sample.home_share": home_share} | settled
 
 
 def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
@@ -104,16 +110,24 @@ def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
 
 
 def sample_rows(
-    robot: Robot, simulation: SettleConfig, seed: int, start: int, count: int, advance=None
+    robot: Robot, simulation: SettleConfig, seed: int, start: int, count: int, advance=None, home_share: float = 0.0
 ) -> dict[str, np.ndarray]:
     """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
-    numbers = _sobol(2 * robot.num_segments, seed, start, count)
-    lengths = np.asarray(row_by_row(_lengths_from_unit_cube, robot, numbers), np.float64)
+    lengths = sample_lengths(robot, seed, start, count, home_share)
     return dataset_rows(lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
 
 
-def _lengths_from_unit_cube(robot: Robot, numbers: jax.Array) -> jax.Array:
-    return cable_lengths(robot, bends_from_unit_cube(robot, numbers))
+def sample_lengths(robot: Robot, seed: int, start: int, count: int, home_share: float) -> np.ndarray:
+    """Commands (count, cables) [m] of rows start .. start + count: bends even over the segments' discs, a share scaled."""
+    numbers = _sobol(2 * robot.num_segments + 1, seed, start, count)
+    is_scaled = numbers[:, -1] < home_share
+    scale = np.where(is_scaled, numbers[:, -1] / (home_share or 1.0), 1.0)
+    return np.asarray(row_by_row(_lengths, robot, np.column_stack([scale, numbers[:, :-1]])), np.float64)
+
+
+def _lengths(robot: Robot, numbers: jax.Array) -> jax.Array:
+    """Cable lengths of one row, from the scale of its bends and their numbers in the unit cube."""
+    return cable_lengths(robot, numbers[0] * bends_from_unit_cube(robot, numbers[1:]))
 
 
 def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[str, np.ndarray]:

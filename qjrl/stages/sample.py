@@ -58,7 +58,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
 def _join(config: Config, parts: Path, out: Path, identity: str) -> None:
     """Parts that other processes made become the data set; they go once it stands."""
     if rows_done(out, identity) < config.sample.num_samples:
-        settings = row_settings(config.simulation, config.seed)
+        settings = row_settings(config.simulation, config.sample.home_share, config.seed)
         join_parts(parts, out, identity, settings, config.sample.num_samples)
         log.info("sample: joined the rows of %s", parts.name)
     shutil.rmtree(parts, ignore_errors=True)

@@ -64,14 +64,24 @@ def test_a_dataset_has_the_columns_of_its_format(whole):
 
 
 def test_commands_cover_the_disc_of_every_segment_by_a_sobol_sequence():
-    rows = settled_rows()
-    bends = np.array([bends_from_cables(ARM, row) for row in rows["cable_lengths"]])
+    lengths = sampling.sample_lengths(ARM, seed=0, start=0, count=64, home_share=0.0)
+    bends = np.array([bends_from_cables(ARM, row) for row in lengths])
     radius = np.linalg.norm(bends, axis=2) / np.sin(float(ARM.bend_limit) / 2)
     turn = np.arctan2(bends[..., 1], bends[..., 0]) / (2 * np.pi) % 1.0
     numbers = np.stack([radius**2, turn], axis=2).reshape(len(bends), -1)
-    np.testing.assert_allclose(numbers, qmc.Sobol(4, rng=0).random(64), atol=1e-9)
+    np.testing.assert_allclose(numbers, qmc.Sobol(5, rng=0).random(64)[:, :4], atol=1e-9)
     for column in numbers.T:  # 64 points: one in each 64th of every dimension
         assert sorted(np.floor(64 * column).astype(int)) == list(range(64))
+
+
+def test_a_share_of_the_rows_is_scaled_towards_home_and_the_others_are_not():
+    even, mixed = (sampling.sample_lengths(ARM, 0, 0, 64, share) for share in (0.0, 0.25))
+    bends = [np.array([bends_from_cables(ARM, row) for row in lengths]) for lengths in (even, mixed)]
+    scales = [np.linalg.norm(one, axis=(1, 2)) for one in bends]
+    ratio = scales[1] / scales[0]
+    assert np.sum(ratio < 1.0 - 1e-9) == 16
+    np.testing.assert_allclose(bends[1], ratio[:, None, None] * bends[0], atol=1e-12)
+    np.testing.assert_allclose(np.sort(ratio)[:16], (np.arange(16) + 0.5) / 16, atol=0.5 / 16)
 
 
 @pytest.mark.parametrize("when", ["between two shards", "inside a shard"])
@@ -141,7 +151,7 @@ def test_more_samples_than_can_be_loaded_into_memory_are_one_line_and_nothing_is
 
 
 def test_a_row_has_the_same_bits_whatever_rows_come_with_it():
-    alone = sample_rows(ARM, SETTLE, seed=0, start=5, count=1)
+    alone = sample_rows(ARM, SETTLE, seed=0, start=5, count=1, home_share=SampleConfig.home_share)
     for name, column in settled_rows().items():
         np.testing.assert_array_equal(alone[name], column[5:6], err_msg=name)
 

@@ -29,7 +29,7 @@ def settled_before(monkeypatch):
     """Rows come from those settled once for all tests; counts how many are asked for."""
     counts = []
 
-    def rows(robot, simulation, seed, start, count, advance=None):
+    def rows(robot, simulation, seed, start, count, advance=None, home_share=0.0):
         counts.append(count)
         return {name: column[start : start + count] for name, column in settled_rows().items()}
 
@@ -44,7 +44,7 @@ def make_part(parts, shard, num_shards, num_samples=24, shard_size=3, seed=0, ro
 
 def join(parts, num_samples=24, simulation=SETTLE):
     out = parts.with_name("dataset")
-    join_parts(parts, out, robot_hash(ARM), row_settings(simulation, 0), num_samples)
+    join_parts(parts, out, robot_hash(ARM), row_settings(simulation, SampleConfig.home_share, 0), num_samples)
     return artifacts.load(out, robot_hash(ARM))
 
 
