@@ -145,6 +145,13 @@ def load(path: str | Path, robot_hash: str | None = None) -> Any:
         raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason})") from error
 
 
+def load_or_make(path: str | Path, make: Callable[[], Mapping[str, Any]]) -> dict[str, np.ndarray]:
+    """The arrays of an ``.npz``, made and written where it does not exist: an interrupted stage goes on behind it."""
+    if not Path(path).exists():
+        write_arrays(path, make())
+    return load(path)
+
+
 def hash_of(content: Any) -> str:
     """Hexadecimal SHA-256 of the canonical JSON of `content`; key order and tuple or list make no difference."""
     text = json.dumps(_plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -1,4 +1,4 @@
-"""A table of results, once: as aligned text for the terminal, as HTML in the report."""
+"""A table of results, once: as aligned text for the terminal, as Markdown for a page, as HTML in the report."""
 
 import dataclasses
 
@@ -54,10 +54,19 @@ class Table:
         return [[column.text(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
 
 
+def as_markdown(table: Table) -> str:
+    """Lines of a Markdown table, marked rows bold, the note below; with a trailing newline."""
+    headers, rule = _headers(table), ["--:" if column.is_number else "---" for column in table.columns]
+    body = [
+        [f"**{cell}**" for cell in cells] if row in table.marked else cells for row, cells in enumerate(table.texts)
+    ]
+    lines = ["| " + " | ".join(cells) + " |" for cells in (headers, rule, *body)]
+    return "\n".join([*lines, *(["", table.note] if table.note else [])]) + "\n"
+
+
 def as_text(table: Table) -> str:
     """Monospace lines: texts to the left, numbers to the right, the unit behind the header; no trailing newline."""
-    headers = [f"{column.header} [{column.unit}]" if column.unit else column.header for column in table.columns]
-    texts = table.texts
+    headers, texts = _headers(table), table.texts
     widths = [max(len(line[index]) for line in [headers, *texts]) for index in range(len(headers))]
 
     def line(cells: list[str], mark: str = "") -> str:
@@ -70,3 +79,7 @@ def as_text(table: Table) -> str:
     rule = "  ".join("─" * width for width in widths)
     body = [line(cells, " *" * (row in table.marked)) for row, cells in enumerate(texts)]
     return "\n".join([line(headers), rule, *body, *([table.note] if table.note else [])])
+
+
+def _headers(table: Table) -> list[str]:
+    return [f"{column.header} [{column.unit}]" if column.unit else column.header for column in table.columns]

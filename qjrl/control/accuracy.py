@@ -1,14 +1,17 @@
 """How near every controller comes to targets that the arm can reach: open loop, and with measurements of the pose."""
 
 import dataclasses
+import functools
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from qjrl import artifacts
 from qjrl.config import Range
 from qjrl.control.feedback import Corrected, MeasurementNoise, measure_and_correct
 from qjrl.control.inversion import IKConfig
-from qjrl.control.open_loop import first_commands
+from qjrl.control.open_loop import CONTROLLERS, first_commands
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
@@ -31,16 +34,6 @@ class AccuracyConfig:
     """Iterations, relaxation and tolerances of FABRIK."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ControllerAccuracy:
-    """One controller on all targets."""
-
-    solved: SolveResult
-    exact: Corrected
-    """Corrected from exact measurements; without any, this is open loop."""
-    noisy: Corrected
-
-
 def judge_accuracy(
     robot: Robot,
     model: PoseFunction,
@@ -49,22 +42,41 @@ def judge_accuracy(
     config: AccuracyConfig,
     targets: np.ndarray,
     seed: int,
+    directory: Path,
     advance=None,
-) -> dict[str, ControllerAccuracy]:
-    """Controller -> errors on targets (n, 9). All get the same measurements; each corrects through the model it inverts.
+) -> dict[str, dict[str, Corrected]]:
+    """ "exact" and "noisy" -> controller -> errors on targets (n, 9); what is in `directory` already is not done again.
+
+    All controllers get the same measurements, and each corrects through the model that it inverts.
 
     Args:
+        directory: gets `commands.npz` (answers by controller) and one file for each of the runs.
         advance: called with the number of newly settled commands, 2 (measurements + 1) n for each of three controllers.
     """
+    commands = artifacts.load_or_make(
+        directory / "commands.npz",
+        lambda: _columns(first_commands(robot, model, ik, config.fabrik, targets, seed)),
+    )
     found = {}
-    for name, solved in first_commands(robot, model, ik, config.fabrik, targets, seed).items():
-        inverted = model if name == "learned_ik" else None
-        runs = [
-            measure_and_correct(
-                robot, inverted, simulation, ik.least_squares, targets, np.asarray(solved.cable_lengths),
-                config.measurements, noise, seed, advance,
-            )
-            for noise in (MeasurementNoise(0.0, 0.0), config.noise)
-        ]  # fmt: skip
-        found[name] = ControllerAccuracy(solved, *runs)
+    for kind, noise in (("exact", MeasurementNoise(0.0, 0.0)), ("noisy", config.noise)):
+        found[kind] = {}
+        for name in CONTROLLERS:
+            run = functools.partial(
+                measure_and_correct, robot, model if name == "learned_ik" else None, simulation, ik.least_squares, targets,
+                commands[f"{name}/cable_lengths"], config.measurements, noise, seed, advance,
+            )  # fmt: skip
+            path = directory / f"{kind}-{name}.npz"
+            is_done = path.exists()
+            found[kind][name] = Corrected(**artifacts.load_or_make(path, lambda run=run: vars(run())))
+            if is_done and advance:
+                advance((config.measurements + 1) * len(targets))
     return found
+
+
+def _columns(answers: dict[str, SolveResult]) -> dict[str, np.ndarray]:
+    """Of a file: "fabrik/cable_lengths" and so on."""
+    return {
+        f"{name}/{field.name}": np.asarray(getattr(answer, field.name))
+        for name, answer in answers.items()
+        for field in dataclasses.fields(answer)
+    }

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from qjrl.config import ConfigError
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
@@ -11,6 +12,8 @@ from qjrl.simulation.settle_problem import SettleConfig
 _SEED = 7_000_003
 # Rows settled at once.
 _CHUNK = 512
+# After so many rows a smaller share of them that are targets means that there are none to speak of.
+_PATIENCE, _SMALLEST_SHARE = 4096, 0.01
 
 
 def reachable_targets(
@@ -21,14 +24,21 @@ def reachable_targets(
     Args:
         trained: (rows, 9) poses of the data set.
         advance: called with the number of newly found targets.
+    Raises:
+        ConfigError: hardly any pose lies so far from all rows.
     """
-    tree, found, start = KDTree(trained[:, :3]), [], 0
-    while sum(len(poses) for poses in found) < count:
+    tree, found, missing, start = KDTree(trained[:, :3]), [], count, 0
+    while missing > 0:
+        if start >= _PATIENCE and count - missing < _SMALLEST_SHARE * start:
+            raise ConfigError(
+                f"accuracy.distance: got {distance:g}, allowed: less; {count - missing} of {start} settled poses lie so far "
+                f"from the {len(trained)} rows of the data set"
+            )
         rows = sample_rows(robot, simulation, seed + _SEED, start, _CHUNK)
         poses = rows["pose"][rows["converged"]]
-        new = poses[tree.query(poses[:, :3])[0] >= distance]
+        new = poses[tree.query(poses[:, :3])[0] >= distance][:missing]
         found.append(new)
-        start += _CHUNK
+        missing, start = missing - len(new), start + _CHUNK
         if advance:
-            advance(min(len(new), count - sum(len(one) for one in found[:-1])))
-    return np.concatenate(found)[:count]
+            advance(len(new))
+    return np.concatenate(found)

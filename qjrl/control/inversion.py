@@ -63,22 +63,36 @@ def solve_target_set(
 
 
 def solve_model(
-    robot: Robot, targets: np.ndarray, model: PoseFunction, config: IKConfig, seed: int, advance=None
+    robot: Robot,
+    targets: np.ndarray,
+    model: PoseFunction,
+    config: IKConfig,
+    seed: int,
+    advance=None,
+    nominal: SolveResult | None = None,
 ) -> SolveResult:
     """Cable lengths for targets (n, 9) by the method of the configuration.
 
-    Least squares starts at home, where a target has an answer that leaves the arm as straight as it can be, goes to the
-    closed form's answer, and from there to the model's.
+    Least squares goes from the closed form's answer to the model's.
+
+    Args:
+        nominal: what `solve_nominal` says, where it is known already.
     """
     if config.method == "adam":
         return solve_adam(robot, targets, model, config.adam, seed, advance)
-    home, solver = np.zeros((robot.num_segments, 2)), config.least_squares
+    solver = config.least_squares
+    nominal = nominal or solve_nominal(robot, targets, solver, seed)
     candidates = draw_candidates(robot, solver, seed)
-    nominal = solve_least_squares(robot, targets, home, solver, candidates)
     answer = solve_least_squares(robot, targets, nominal.bends, solver, candidates, model)
     if advance:
         advance(len(targets))
     return answer
+
+
+def solve_nominal(robot: Robot, targets: np.ndarray, solver: LeastSquaresConfig, seed: int) -> SolveResult:
+    """Least squares on the closed form from home, where a target has an answer that leaves the arm as straight as it can be."""
+    home = np.zeros((robot.num_segments, 2))
+    return solve_least_squares(robot, targets, home, solver, draw_candidates(robot, solver, seed))
 
 
 def settle_answers(

@@ -6,16 +6,18 @@ from typing import Annotated
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.control.inversion import IKConfig, solve_model
+from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
-from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik, solve_least_squares
+from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik
 
 # Offset of the run's seed: targets that neither the policy nor the held-out set has.
 _SEED = 6_000_003
+CONTROLLERS = ("fabrik", "least_squares", "learned_ik")
+"""What `first_commands` asks, in the order of tables."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,11 +42,11 @@ def first_commands(
     robot: Robot, model: PoseFunction, ik: IKConfig, fabrik: FabrikConfig, targets: np.ndarray, seed: int
 ) -> dict[str, SolveResult]:
     """Controller -> answers for targets (n, 9). FABRIK and least squares invert the closed form, from home."""
-    home = np.zeros((robot.num_segments, 2))
+    nominal = solve_nominal(robot, targets, ik.least_squares, seed)
     return {
-        "fabrik": solve_fabrik(robot, targets, home, fabrik),
-        "least_squares": solve_least_squares(robot, targets, home, ik.least_squares),
-        "learned_ik": solve_model(robot, targets, model, ik, seed),
+        "fabrik": solve_fabrik(robot, targets, None, fabrik),
+        "least_squares": nominal,
+        "learned_ik": solve_model(robot, targets, model, ik, seed, nominal=nominal),
     }
 
 

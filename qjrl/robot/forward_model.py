@@ -103,3 +103,8 @@ def load_forward_model(path: Path, robot: Robot) -> ForwardModel:
         raise ArtifactError(f"{path}.json: belongs to another robot than {robot.name}")
     fitted = FittedNetwork(**jax.tree.map(jnp.asarray, tree))
     return ForwardModel(fitted, build(ForwardModelConfig, description["config"]))
+
+
+def load_pose_function(path: Path, robot: Robot) -> PoseFunction:
+    """The plain function lengths (num_cables,) [m] -> pose (9,) of a model on disk; raises as `load_forward_model`."""
+    return pose_function(robot, load_forward_model(path, robot))

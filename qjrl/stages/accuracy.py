@@ -3,20 +3,22 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from qjrl import artifacts, progress
+from qjrl.analysis import corrections
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.feedback_figures import errors_by_measurements
-from qjrl.analysis.outcomes import controller_label
-from qjrl.analysis.tables import Column, Table, as_text
-from qjrl.control.accuracy import AccuracyConfig, ControllerAccuracy, judge_accuracy
+from qjrl.analysis.tables import as_markdown, as_text
+from qjrl.control.accuracy import AccuracyConfig, judge_accuracy
 from qjrl.control.feedback import Corrected
 from qjrl.control.held_out import reachable_targets
 from qjrl.control.inversion import IKConfig
+from qjrl.control.open_loop import CONTROLLERS
 from qjrl.robot import robot_from_mapping, robot_hash
-from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -32,76 +34,52 @@ class Config:
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `errors.npz`, `exact.png` and `noisy.png`; the table goes to the log."""
+    """Write `metrics.json`, `table.md`, `corrections.png`, and every run's arrays, from which an interrupted one goes on."""
     robot, settings = robot_from_mapping(config.robot), config.accuracy
-    model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
+    model = load_pose_function(inputs["forward_model"] / "model", robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     trained = data["pose"][data["converged"]]
     with progress.track(settings.num_targets, "reaching for targets") as advance:
-        targets = reachable_targets(
+        find = lambda: reachable_targets(  # noqa: E731
             robot, config.simulation, trained, settings.num_targets, settings.distance, config.seed, advance
         )
-    with progress.track(6 * (settings.measurements + 1) * len(targets), "settling, correcting") as advance:
-        found = judge_accuracy(robot, model, config.simulation, config.ik, settings, targets, config.seed, advance)
-    artifacts.write_arrays(out / "errors.npz", {"target": targets, **_columns(found)})
-    artifacts.write_json(out / "metrics.json", {name: _metrics(one) for name, one in found.items()})
-    noise = settings.noise
-    titles = {
-        "exact": "exact measurements",
-        "noisy": f"noise {1e3 * noise.position:.2g} mm, {np.degrees(noise.orientation):.2g}°",
+        targets = artifacts.load_or_make(out / "targets.npz", lambda: {"target": find()})["target"]
+    count = 2 * len(CONTROLLERS) * (settings.measurements + 1) * len(targets)
+    with progress.track(count, "settling, correcting") as advance:
+        found = judge_accuracy(robot, model, config.simulation, config.ik, settings, targets, config.seed, out, advance)
+    commands = artifacts.load(out / "commands.npz")
+    solved = {name: commands[f"{name}/converged"] for name in CONTROLLERS}
+    metrics = {kind: corrections.corrections_metrics(runs) for kind, runs in found.items()}
+    about = {
+        "num_targets": len(targets),
+        "solved_share": {name: float(np.mean(rows)) for name, rows in solved.items()},
+        "noise": corrections.noise_floor(settings.noise.position, settings.noise.orientation),
+        "ratios": {kind: corrections.ratios(runs, solved) for kind, runs in found.items()},
     }
-    for kind, title in titles.items():
-        errors = {name: getattr(one, kind).position_error for name, one in found.items()}
-        save_png(errors_by_measurements(errors, title), out / f"{kind}.png", dpi=110)
-        log.info("%s", as_text(_table({name: getattr(one, kind) for name, one in found.items()}, title)))
+    artifacts.write_json(out / "metrics.json", metrics | about)
+    _show(found, metrics, about, out)
 
 
-def _columns(found: dict[str, ControllerAccuracy]) -> dict[str, np.ndarray]:
-    return {
-        f"{name}/{kind}/{quantity}": getattr(getattr(one, kind), quantity)
-        for name, one in found.items()
-        for kind in ("exact", "noisy")
-        for quantity in ("position_error", "orientation_error", "cable_lengths")
+def _show(found: dict[str, dict[str, Corrected]], metrics: dict, about: dict[str, Any], out: Path) -> None:
+    """The table and the figure of all runs, and the lines that answer the question."""
+    noise = about["noise"]
+    labels = {
+        "exact": "exact",
+        "noisy": f"noise {noise['position_deviation_mm']:.2g} mm, {noise['orientation_deviation_deg']:.2g}°",
     }
-
-
-def _metrics(one: ControllerAccuracy) -> dict:
-    solved = {"solved_share": float(np.mean(one.solved.converged))}
-    return solved | {kind: [_quantiles(getattr(one, kind), row) for row in range(len(one.exact.position_error))]
-                     for kind in ("exact", "noisy")}  # fmt: skip
-
-
-def _quantiles(corrected: Corrected, row: int) -> dict[str, float]:
-    """After `row` measurements; what did not settle is counted and left out."""
-    position, orientation = 1e3 * corrected.position_error[row], np.degrees(corrected.orientation_error[row])
-    quantile = lambda values, share: float(np.nanpercentile(values, share))  # noqa: E731
-    return {
-        "measurements": row,
-        "num_unsettled": int(np.isnan(position).sum()),
-        "position_median_mm": quantile(position, 50),
-        "position_p90_mm": quantile(position, 90),
-        "position_p99_mm": quantile(position, 99),
-        "orientation_median_deg": quantile(orientation, 50),
-        "orientation_p99_deg": quantile(orientation, 99),
+    table = corrections.corrections_table({labels[kind]: numbers for kind, numbers in metrics.items()})
+    artifacts.write_bytes(out / "table.md", as_markdown(table).encode())
+    floors = {"exact": None, "noisy": 1e-3 * noise["position_median_mm"]}
+    panels = {
+        labels[kind]: ({name: one.position_error for name, one in runs.items()}, floors[kind])
+        for kind, runs in found.items()
     }
-
-
-def _table(found: dict[str, Corrected], title: str) -> Table:
-    """One row a controller and number of measurements."""
-    columns = (
-        Column("controller"), Column("measurements", 0), Column("median", 4, "mm"), Column("p90", 4, "mm"),
-        Column("p99", 4, "mm"), Column("median", 4, "°"), Column("p99", 4, "°"), Column("unsettled", 0),
-    )  # fmt: skip
-    names = (
-        "position_median_mm",
-        "position_p90_mm",
-        "position_p99_mm",
-        "orientation_median_deg",
-        "orientation_p99_deg",
-    )
-    rows = []
-    for name, corrected in found.items():
-        for number in range(len(corrected.position_error)):
-            values = _quantiles(corrected, number)
-            rows.append((controller_label(name), number, *(values[key] for key in names), values["num_unsettled"]))
-    return Table(columns, tuple(rows), note=title)
+    save_png(errors_by_measurements(panels), out / "corrections.png", dpi=110)
+    log.info("%s", as_text(table))
+    for number, ratio in about["ratios"]["exact"].items():
+        log.info(
+            "accuracy, %s exact measurements: FABRIK's median is %.1f times the learned IK's, %.1f orders of magnitude",
+            number.removeprefix("after_"),
+            ratio["fabrik"]["ratio"],
+            ratio["fabrik"]["orders_of_magnitude"],
+        )

@@ -11,7 +11,7 @@ from qjrl.analysis.metrics import metrics_of
 from qjrl.control.inversion import BANK_SEED, HELD_OUT_SEED, IKConfig, settle_answers, solve_both_sets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.robot import robot_from_mapping
-from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `held_out.npz` (answers and what they settled at), `bank.npz` (targets to train on) and `metrics.json`."""
     robot = robot_from_mapping(config.robot)
-    model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
+    model = load_pose_function(inputs["forward_model"] / "model", robot)
     sets = len(TARGET_SETS)
     start = time.monotonic()
     with progress.track(sets * config.ik.num_held_out, "inverting held-out targets") as advance:

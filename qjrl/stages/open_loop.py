@@ -19,7 +19,7 @@ from qjrl.control.open_loop import OpenLoopConfig, OpenLoopRun, run_open_loop
 from qjrl.control.targets import TARGET_SETS
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import robot_from_mapping
-from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `outcomes.npz` and a cumulative curve for every target set; the table goes to the log."""
     robot = robot_from_mapping(config.robot)
-    model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
+    model = load_pose_function(inputs["forward_model"] / "model", robot)
     outcomes, columns, solved = [], {}, {}
     with progress.track(3 * len(TARGET_SETS) * config.open_loop.num_targets, "settling") as advance:
         for target_set in TARGET_SETS:

@@ -234,14 +234,22 @@ def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path
         AccuracyConfig(num_targets=6, measurements=1, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
         seed=0,
     )
-    accuracy.run(config, {"sample": finished / "dataset", "forward_model": finished / "forward_model"}, tmp_path)
-    metrics, raw = artifacts.load(tmp_path / "metrics.json"), artifacts.load(tmp_path / "errors.npz")
-    assert metrics.keys() == {"fabrik", "least_squares", "learned_ik"}
-    for name, found in metrics.items():
-        assert [row["measurements"] for row in found["exact"]] == [0, 1]
-        np.testing.assert_array_equal(raw[f"{name}/exact/position_error"][0], raw[f"{name}/noisy/position_error"][0])
-        assert found["exact"][1]["position_median_mm"] == pytest.approx(
-            1e3 * np.nanmedian(raw[f"{name}/exact/position_error"][1])
-        )
-    solved = metrics["least_squares"]["exact"]
-    assert solved[1]["position_median_mm"] < 0.1 * solved[0]["position_median_mm"]
+    inputs = {"sample": finished / "dataset", "forward_model": finished / "forward_model"}
+    accuracy.run(config, inputs, tmp_path)
+    metrics = artifacts.load(tmp_path / "metrics.json")
+    for number in ("after_0", "after_1"):
+        assert metrics["exact"][number].keys() == {"fabrik", "least_squares", "learned_ik"}
+    for name in metrics["solved_share"]:
+        exact, noisy = (artifacts.load(tmp_path / f"{kind}-{name}.npz") for kind in ("exact", "noisy"))
+        np.testing.assert_array_equal(exact["position_error"][0], noisy["position_error"][0])
+        median = 1e3 * np.nanmedian(exact["position_error"][1])
+        assert metrics["exact"]["after_1"][name]["position_median_mm"] == pytest.approx(median)
+    open_loop_median, corrected = (
+        metrics["exact"][number]["least_squares"]["position_median_mm"] for number in ("after_0", "after_1")
+    )
+    assert corrected < 0.1 * open_loop_median
+    assert (tmp_path / "corrections.png").stat().st_size > 10_000
+    before = (tmp_path / "metrics.json").read_bytes()
+    (tmp_path / "noisy-learned_ik.npz").unlink()
+    accuracy.run(config, inputs, tmp_path)
+    assert (tmp_path / "metrics.json").read_bytes() == before  # what was interrupted goes on to the same end
