@@ -9,11 +9,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+from flax import struct
 
 with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where that is not installed
     from mujoco import mjx
 
-__all__ = ["MjxArm", "compile_batch", "load_arm", "mjx", "single_precision", "tip_pose"]
+__all__ = ["ArmState", "MjxArm", "Rows", "compile_batch", "load_arm", "mjx", "single_precision", "tip_pose"]
 
 # In a batch MJX runs as many iterations as its slowest arm wants, and a tolerance that float32 cannot meet makes that all
 # of them: few of both. Equality rows alone take one; with friction of 3 N one joint ends 0.35 mm from C after 3, 0.03 after 12.
@@ -25,6 +26,9 @@ CPU_COMPILER_OPTIONS = {"xla_disable_hlo_passes": "fusion"}
 # Dry friction as hard as in C (0.9999) is beyond float32: at rest the solver now and then throws an arm at up to 2.5 rad/s.
 # Measured on one joint with friction up to 3 N: with 0.999 at most 0.03 rad/s, and 0.1 mm of creep in 1.2 s; C: 5e-5 rad/s.
 FRICTION_IMPEDANCE = 0.999
+
+# An array of numpy's on the host, of JAX's inside compiled code.
+Rows = Any
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,6 +46,30 @@ class MjxArm:
     def tip(self) -> int:
         """Index of the site whose pose is the arm's."""
         return mujoco.mj_name2id(self.host, mujoco.mjtObj.mjOBJ_SITE, "tip")
+
+
+@struct.dataclass
+class ArmState:
+    """What the next step depends on, one row a simulation; float32."""
+
+    joint_positions: Rows
+    joint_velocities: Rows
+    strand_commands: Rows
+    warm_start: Rows
+    """Accelerations from which the constraint solver starts."""
+
+    def placed_in(self, home: mjx.Data) -> mjx.Data:
+        """The template of one simulation with this state, a single row, in it."""
+        return home.replace(
+            qpos=self.joint_positions,
+            qvel=self.joint_velocities,
+            ctrl=self.strand_commands,
+            qacc_warmstart=self.warm_start,
+        )
+
+    def moved_to(self, data: mjx.Data) -> "ArmState":
+        """Where one simulation has come, holding the same commands."""
+        return ArmState(data.qpos, data.qvel, self.strand_commands, data.qacc_warmstart)
 
 
 def load_arm(mjcf: str, strand_friction: float | None = None) -> MjxArm:

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from flax import struct
 from qjrl.progress import compiling
 from qjrl.robot import build_mjcf
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
+from qjrl.simulation.mjx_model import ArmState, Rows, compile_batch, load_arm, mjx, single_precision, tip_pose
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 # In float32 a resting arm still shows mean |joint velocity| of up to 1.2e-4 rad/s: what counts as rest is above that.
@@ -23,20 +22,13 @@ REST_SPEED = 2e-4
 _STEPS_PER_CALL = 50
 
 
-# An array of numpy's on the host, of JAX's inside compiled code.
-_Rows = Any
-
-
 @struct.dataclass
 class _Row:
     """One simulation on its way to rest."""
 
-    joint_positions: _Rows
-    joint_velocities: _Rows
-    warm_start: _Rows
-    strand_commands: _Rows
-    steps: _Rows
-    quiet_steps: _Rows
+    state: ArmState
+    steps: Rows
+    quiet_steps: Rows
 
 
 @struct.dataclass
@@ -76,7 +68,8 @@ def _compile(mjcf: str, config: SettleConfig, size: int) -> _Compiled:
     arm = load_arm(mjcf)
     zeros = lambda width: np.zeros((size, width), np.float32)  # noqa: E731
     counts = np.zeros(size, np.int32)
-    rows = _Row(zeros(arm.host.nq), zeros(arm.host.nv), zeros(arm.host.nv), zeros(arm.host.nu), counts, counts)
+    state = ArmState(zeros(arm.host.nq), zeros(arm.host.nv), zeros(arm.host.nu), zeros(arm.host.nv))
+    rows = _Row(state, counts, counts)
     with compiling(f"MJX to settle {size} arms"):
         move = compile_batch(partial(_move, config), (None, None, 0), arm.model, arm.data, rows)
         look = compile_batch(partial(_look, arm.tip), (None, None, 0), arm.model, arm.data, rows)
@@ -85,8 +78,9 @@ def _compile(mjcf: str, config: SettleConfig, size: int) -> _Compiled:
 
 def _rows(problem: SettleProblem, ids: np.ndarray) -> _Row:
     positions = np.asarray(problem.joint_positions[ids], np.float32)
+    commands = np.asarray(problem.strand_commands[ids], np.float32)
     zeros, counts = np.zeros_like(positions), np.zeros(len(ids), np.int32)
-    return _Row(positions, zeros, zeros, np.asarray(problem.strand_commands[ids], np.float32), counts, counts)
+    return _Row(ArmState(positions, zeros, commands, zeros), counts, counts)
 
 
 def _is_active(config: SettleConfig, row: _Row) -> jax.Array:
@@ -98,36 +92,31 @@ def _move(config: SettleConfig, model: mjx.Model, home: mjx.Data, row: _Row) -> 
     tolerance = max(config.rest_speed, REST_SPEED)
 
     def step(_, row: _Row) -> _Row:
-        data = mjx.step(model, _data(home, row))
+        data = mjx.step(model, row.state.placed_in(home))
         is_quiet = jnp.mean(jnp.abs(data.qvel)) < tolerance
         quiet = jnp.where(is_quiet, row.quiet_steps + 1, 0)
-        moved = _Row(data.qpos, data.qvel, data.qacc_warmstart, row.strand_commands, row.steps + 1, quiet)
+        moved = _Row(row.state.moved_to(data), row.steps + 1, quiet)
         return jax.tree.map(lambda new, old: jnp.where(_is_active(config, row), new, old), moved, row)
 
     return jax.lax.fori_loop(0, _STEPS_PER_CALL, step, row)
 
 
 def _look(tip: int, model: mjx.Model, home: mjx.Data, row: _Row) -> _Reading:
-    data = mjx.forward(model, _data(home, row))
+    data = mjx.forward(model, row.state.placed_in(home))
     return _Reading(tip_pose(data, tip), data.actuator_force)
-
-
-def _data(home: mjx.Data, row: _Row) -> mjx.Data:
-    return home.replace(
-        qpos=row.joint_positions, qvel=row.joint_velocities, ctrl=row.strand_commands, qacc_warmstart=row.warm_start
-    )
 
 
 def _raw(config: SettleConfig, rows: _Row, reading: _Reading, count: int) -> RawSettled:
     """The first `count` rows on the host, float64."""
     wide = jax.tree.map(lambda value: np.asarray(value)[:count].astype(np.float64), (rows, reading))
     rest, seen = wide
-    is_finite = np.isfinite(seen.pose).all(axis=1) & np.isfinite(rest.joint_positions).all(axis=1)
+    positions = rest.state.joint_positions
+    is_finite = np.isfinite(seen.pose).all(axis=1) & np.isfinite(positions).all(axis=1)
     return RawSettled(
-        joint_positions=rest.joint_positions,
+        joint_positions=positions,
         pose=seen.pose,
         strand_tension=np.maximum(-seen.actuator_force, 0.0),
-        speed=np.abs(rest.joint_velocities).mean(axis=1),
+        speed=np.abs(rest.state.joint_velocities).mean(axis=1),
         steps=rest.steps.astype(int),
         converged=is_finite & (rest.quiet_steps >= config.hold_steps),
     )

@@ -4,7 +4,6 @@ import copy
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
 
 import jax
 import mujoco
@@ -15,7 +14,7 @@ from qjrl.progress import compiling
 from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import compile_batch, load_arm, mjx, single_precision, tip_pose
+from qjrl.simulation.mjx_model import ArmState, Rows, compile_batch, load_arm, mjx, single_precision, tip_pose
 from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
@@ -24,35 +23,20 @@ LEAST_FRICTION = 1e-4
 LARGEST_VALUE = 1e10
 
 
-# An array of numpy's on the host, of JAX's inside compiled code.
-_Rows = Any
-
-
-@struct.dataclass
-class _State:
-    """What the next step depends on, one row a simulation; float32."""
-
-    joint_positions: _Rows
-    joint_velocities: _Rows
-    strand_commands: _Rows
-    warm_start: _Rows
-    """Accelerations from which the constraint solver starts."""
-
-
 @struct.dataclass
 class _Physics:
     """What differs between the simulations' models, one row a simulation; float32."""
 
-    strand_damping_scale: _Rows
-    strand_friction: _Rows
-    armature_scale: _Rows
-    gain_scale: _Rows
-    gravity: _Rows
-    joint_inverse_inertia: _Rows
+    strand_damping_scale: Rows
+    strand_friction: Rows
+    armature_scale: Rows
+    gain_scale: Rows
+    gravity: Rows
+    joint_inverse_inertia: Rows
     """`dof_invweight0`: follows the armature, and with it how hard the equality rows are."""
-    tendon_inverse_inertia: _Rows
+    tendon_inverse_inertia: Rows
     """`tendon_invweight0`: likewise for the height, stop and friction rows."""
-    mean_inertia: _Rows
+    mean_inertia: Rows
     """Scale of the solver's tolerance."""
 
 
@@ -60,10 +44,10 @@ class _Physics:
 class _Measured:
     """What the simulations show at a state, one row a simulation; float32."""
 
-    tendon_lengths: _Rows
-    tendon_velocities: _Rows
-    actuator_force: _Rows
-    pose: _Rows
+    tendon_lengths: Rows
+    tendon_velocities: Rows
+    actuator_force: Rows
+    pose: Rows
 
 
 class MjxStepper:
@@ -74,7 +58,7 @@ class MjxStepper:
         self._arm = load_arm(build_mjcf(robot, SolverOptions(timestep=timestep)), strand_friction=1.0)
         host = self._arm.host
         zeros = lambda width: np.zeros((num_sims, width), np.float32)  # noqa: E731
-        self._state = _State(zeros(host.nq), zeros(host.nv), zeros(host.nu), zeros(host.nv))
+        self._state = ArmState(zeros(host.nq), zeros(host.nv), zeros(host.nu), zeros(host.nv))
         self._measured: _Measured | None = None
         self._has_failed = np.zeros(num_sims, bool)
         self._parameters = PhysicalParameters.nominal(robot, num_sims)
@@ -92,8 +76,7 @@ class MjxStepper:
         self, ids: np.ndarray, joint_positions: np.ndarray, strand_commands: np.ndarray, parameters: PhysicalParameters
     ) -> None:
         """Put simulations `ids` at rest at joint positions (len(ids), nq), holding commands, with new parameters."""
-        for field in dataclasses.fields(PhysicalParameters):
-            getattr(self._parameters, field.name)[ids] = getattr(parameters, field.name)
+        self._parameters.assign(ids, parameters.arrays())
         self._set_parameters(ids)
         state = self._state
         state.joint_positions[ids], state.joint_velocities[ids] = joint_positions, 0.0
@@ -128,19 +111,18 @@ class MjxStepper:
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that a bitwise continuation needs."""
-        parts = (self._state, self._parameters)
-        arrays = {field.name: getattr(part, field.name).copy() for part in parts for field in dataclasses.fields(part)}
-        return {"has_failed": self._has_failed.copy(), **arrays}
+        state = {name: array.copy() for name, array in vars(self._state).items()}
+        return {"has_failed": self._has_failed.copy(), **state, **self._parameters.arrays()}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
-        for field in dataclasses.fields(PhysicalParameters):
-            getattr(self._parameters, field.name)[:] = state[field.name]
-        self._set_parameters(np.arange(self.num_sims))
-        self._state = _State(**{field.name: np.array(state[field.name]) for field in dataclasses.fields(_State)})
+        everyone = np.arange(self.num_sims)
+        self._parameters.assign(everyone, state)
+        self._set_parameters(everyone)
+        self._state = ArmState(**{name: np.array(state[name]) for name in vars(self._state)})
         self._has_failed, self._measured = np.array(state["has_failed"]), None
 
-    def _run(self, state: _State, num_steps: int) -> tuple[_State, _Measured]:
+    def _run(self, state: ArmState, num_steps: int) -> tuple[ArmState, _Measured]:
         with single_precision():
             return self._advance(self._arm.model, self._arm.data, self._physics, state, np.int32(num_steps))
 
@@ -164,7 +146,7 @@ class MjxStepper:
             physics.tendon_inverse_inertia[index] = host.tendon_invweight0
             physics.mean_inertia[index] = host.stat.meaninertia
 
-    def _compile(self) -> Callable[..., tuple[_State, _Measured]]:
+    def _compile(self) -> Callable[..., tuple[ArmState, _Measured]]:
         """Compile now, so that the first step is as fast as the others."""
         example = (self._arm.model, self._arm.data, self._physics, self._state, np.int32(0))
         with compiling(f"MJX for {self.num_sims} arms"):
@@ -172,22 +154,14 @@ class MjxStepper:
 
 
 def _advance(
-    tip: int, model: mjx.Model, home: mjx.Data, physics: _Physics, state: _State, num_steps: jax.Array
-) -> tuple[_State, _Measured]:
+    tip: int, model: mjx.Model, home: mjx.Data, physics: _Physics, state: ArmState, num_steps: jax.Array
+) -> tuple[ArmState, _Measured]:
     """One simulation `num_steps` time steps on, and what it shows there (site `tip`'s pose)."""
     model = _individual(model, physics)
-    data = home.replace(
-        qpos=state.joint_positions,
-        qvel=state.joint_velocities,
-        ctrl=state.strand_commands,
-        qacc_warmstart=state.warm_start,
-    )
-    data = jax.lax.fori_loop(0, num_steps, lambda _, data: mjx.step(model, data), data)
+    data = jax.lax.fori_loop(0, num_steps, lambda _, data: mjx.step(model, data), state.placed_in(home))
     data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))  # what is seen there
-    moved = dataclasses.replace(
-        state, joint_positions=data.qpos, joint_velocities=data.qvel, warm_start=data.qacc_warmstart
-    )
-    return moved, _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, tip_pose(data, tip))
+    seen = _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, tip_pose(data, tip))
+    return state.moved_to(data), seen
 
 
 def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:
@@ -208,7 +182,7 @@ def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:
     )
 
 
-def _is_sound(state: _State) -> np.ndarray:
+def _is_sound(state: ArmState) -> np.ndarray:
     """(n,) whether positions and velocities are finite and not absurd."""
     values = np.concatenate([state.joint_positions, state.joint_velocities, state.warm_start], axis=1)
     return np.all(np.abs(values) < LARGEST_VALUE, axis=1)  # False for NaN

@@ -55,6 +55,15 @@ class PhysicalParameters:
         friction = np.full(count, robot.config.strands.friction)
         return cls(np.ones(count), friction, np.ones(count), np.ones(count), np.zeros((count, 2)))
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Field name -> copy of its values."""
+        return {field.name: getattr(self, field.name).copy() for field in dataclasses.fields(self)}
+
+    def assign(self, ids: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
+        """Write rows `ids` of every field from `arrays`, of which other names are left alone."""
+        for field in dataclasses.fields(self):
+            getattr(self, field.name)[ids] = arrays[field.name]
+
 
 @runtime_checkable
 class Stepper(Protocol):
@@ -106,8 +115,7 @@ class MujocoStepper:
         self, ids: np.ndarray, joint_positions: np.ndarray, strand_commands: np.ndarray, parameters: PhysicalParameters
     ) -> None:
         """Put simulations `ids` at rest at joint positions (len(ids), nq), holding commands, with new parameters."""
-        for field in dataclasses.fields(PhysicalParameters):
-            getattr(self._parameters, field.name)[ids] = getattr(parameters, field.name)
+        self._parameters.assign(ids, parameters.arrays())
         self._set_parameters(ids)
         self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._positions[ids], self._velocities[ids] = joint_positions, 0.0
@@ -142,16 +150,14 @@ class MujocoStepper:
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that a bitwise continuation needs."""
-        parameters = {
-            field.name: getattr(self._parameters, field.name).copy() for field in dataclasses.fields(PhysicalParameters)
-        }
-        return {"state": self._batch.state.copy(), "has_failed": self._has_failed.copy(), **parameters}
+        own = {"state": self._batch.state.copy(), "has_failed": self._has_failed.copy()}
+        return own | self._parameters.arrays()
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
-        for field in dataclasses.fields(PhysicalParameters):
-            getattr(self._parameters, field.name)[:] = state[field.name]
-        self._set_parameters(np.arange(self.num_sims))
+        everyone = np.arange(self.num_sims)
+        self._parameters.assign(everyone, state)
+        self._set_parameters(everyone)
         self._batch.state[:] = state["state"]
         self._has_failed[:] = state["has_failed"]
 
