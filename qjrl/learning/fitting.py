@@ -7,7 +7,6 @@ alone, so a fit that was interrupted and resumed equals one that was not, bit fo
 import dataclasses
 import hashlib
 import math
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,6 +21,7 @@ from qjrl import artifacts, progress
 from qjrl.config import Range, as_mapping
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.divergence import TrainingDiverged
+from qjrl.learning.fit_log import FitLog
 
 Predict = Callable[[Any], jax.Array]
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
@@ -56,6 +56,8 @@ class FittedNetwork:
     """(outputs,) mean of the training targets."""
     output_std: Any
     """(outputs,) their standard deviation."""
+    num_members: int = struct.field(pytree_node=False, default=1)
+    """Of an ensemble: above 1 every parameter has a leading axis of so many networks."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,9 +90,23 @@ class Rows:
 
 
 def predict(network: linen.Module, fitted: FittedNetwork, inputs: Any) -> jax.Array:
-    """The network's answer in the units of the targets: (..., inputs) -> (..., outputs) float32."""
+    """The network's answer in the units of the targets, an ensemble's mean: (..., inputs) -> (..., outputs) float32."""
+    if fitted.num_members > 1:
+        return jnp.mean(predict_members(network, fitted, inputs), axis=0)
     normalised: Any = network.apply({"params": fitted.parameters}, jnp.asarray(inputs, jnp.float32))
     return normalised * fitted.output_std + fitted.output_mean
+
+
+def predict_members(network: linen.Module, fitted: FittedNetwork, inputs: Any) -> jax.Array:
+    """Every member's answer: (..., inputs) -> (members, ..., outputs) float32."""
+    if fitted.num_members == 1:
+        return predict(network, fitted, inputs)[None]
+
+    def member(index: int) -> jax.Array:
+        parameters = jax.tree.map(lambda leaf: leaf[index], fitted.parameters)
+        return predict(network, dataclasses.replace(fitted, parameters=parameters, num_members=1), inputs)
+
+    return jnp.stack([member(index) for index in range(fitted.num_members)])
 
 
 def mean_squared_error(predicted: jax.Array, target: jax.Array) -> jax.Array:
@@ -108,6 +124,7 @@ def fit(
     seed: int,
     loss: Loss = mean_squared_error,
     label: str = "fit",
+    num_members: int = 1,
 ) -> FitResult:
     """Fits `network` to (inputs, targets); goes on where an earlier call in the same directory stopped.
 
@@ -118,19 +135,20 @@ def fit(
         minimise: the metric of `evaluate` by which the best checkpoint is chosen.
         directory: gets `checkpoints/` and `progress.jsonl`.
         loss: scalar from predicted and target rows, both normalised by the training statistics of the targets.
+        num_members: networks fitted together by vmap; number i is the plain fit of `member_seed(seed, i)`.
     Raises:
         TrainingDiverged: the training loss is not finite.
         ArtifactError: the directory holds a fit with another configuration or other data.
     """
     rows, mean, std = _prepare(*data)
     steps_per_epoch = _steps_per_epoch(config, len(rows.inputs))
-    state = _initial_state(config, network, rows, seed)
+    state = _initial_state(config, network, rows, seed, num_members)
     answer = jax.jit(predict, static_argnums=0)
-    log = _Log(directory / "progress.jsonl")
+    log = FitLog(directory / "progress.jsonl")
     identity = _identity(config, state, seed, data)
 
     def evaluated(state: FitState, epoch: int, train_loss: float | None) -> dict[str, float]:
-        fitted = FittedNetwork(state.parameters, mean, std)
+        fitted = FittedNetwork(state.parameters, mean, std, num_members)
         metrics = dict(evaluate(lambda inputs: answer(network, fitted, inputs)))
         log.append(epoch, epoch * steps_per_epoch, train_loss, metrics)
         return metrics
@@ -143,7 +161,8 @@ def fit(
         else:
             state = ckpt.restore(checkpoints, done, state)
         with progress.compiling(f"one epoch of {label}"):
-            run_epoch = jax.jit(train_epoch, static_argnums=(0, 1, 2), donate_argnums=3)
+            train = train_epoch if num_members == 1 else train_epoch_of_members
+            run_epoch = jax.jit(train, static_argnums=(0, 1, 2), donate_argnums=3)
         with progress.track(config.epochs, label, already=done or 0) as advance:
             for epoch in range((done or 0) + 1, config.epochs + 1):
                 state, losses = run_epoch(config, network, loss, state, rows, epoch)
@@ -152,7 +171,7 @@ def fit(
                     ckpt.save(checkpoints, epoch, state, evaluated(state, epoch, train_loss))
                 advance(1, note=log.note(minimise))
         best = checkpoints.best_step()
-        fitted = FittedNetwork(ckpt.restore(checkpoints, best, state).parameters, mean, std)
+        fitted = FittedNetwork(ckpt.restore(checkpoints, best, state).parameters, mean, std, num_members)
         return FitResult(fitted, best, dict(checkpoints.metrics(best)))
 
 
@@ -171,6 +190,18 @@ def train_epoch(
         return dataclasses.replace(state, parameters=parameters, optimiser_state=optimiser_state), value
 
     return jax.lax.scan(step, state, epoch_order(state.order_key, epoch, num_rows, config.batch_size))
+
+
+def train_epoch_of_members(
+    config: FitConfig, network: linen.Module, loss: Loss, state: FitState, rows: Rows, epoch: jax.Array
+) -> tuple[FitState, jax.Array]:
+    """`train_epoch` of every member of an ensemble, each in an order of its own; losses (members, steps)."""
+    return jax.vmap(lambda one: train_epoch(config, network, loss, one, rows, epoch))(state)
+
+
+def member_seed(seed: int, member: int) -> int:
+    """Seed of one member of an ensemble; the first has the ensemble's own."""
+    return seed + 1000 * member
 
 
 def make_optimiser(config: FitConfig, num_steps: int) -> optax.GradientTransformation:
@@ -203,28 +234,6 @@ def _steps_per_epoch(config: FitConfig, num_rows: int) -> int:
     return max(1, num_rows // config.batch_size)
 
 
-class _Log:
-    """`progress.jsonl`: one line an evaluation; `seconds` go on counting where an interrupted fit stopped."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.last: dict[str, Any] = {}
-        self.start = time.monotonic()
-
-    def rewind(self, done: int | None) -> None:
-        kept = ckpt.rewind_log(self.path, "epoch", -1 if done is None else done)
-        self.last = kept[-1] if kept else {}
-        self.start = time.monotonic() - self.last.get("seconds", 0.0)
-
-    def append(self, epoch: int, step: int, train_loss: float | None, metrics: Mapping[str, float]) -> None:
-        seconds = round(time.monotonic() - self.start, 3)
-        self.last = {"epoch": epoch, "step": step, "train_loss": train_loss, **metrics, "seconds": seconds}
-        artifacts.append_json_line(self.path, self.last)
-
-    def note(self, minimise: str) -> str:
-        return f"{minimise} {self.last[minimise]:.4g}"
-
-
 def _prepare(inputs: Any, targets: Any) -> tuple[Rows, jax.Array, jax.Array]:
     """The rows on the device, targets normalised, and the mean and std they were normalised by.
 
@@ -239,11 +248,17 @@ def _prepare(inputs: Any, targets: Any) -> tuple[Rows, jax.Array, jax.Array]:
     return rows, jnp.asarray(mean, jnp.float32), jnp.asarray(std, jnp.float32)
 
 
-def _initial_state(config: FitConfig, network: linen.Module, rows: Rows, seed: int) -> FitState:
-    parameter_key, order_key = jax.random.split(jax.random.key(seed))
-    parameters = jax.jit(_initial_parameters, static_argnums=0)(network, parameter_key, rows.inputs[:1])
-    # The optimiser's state does not depend on how many steps its schedule has.
-    state = FitState(parameters, make_optimiser(config, 1).init(parameters), order_key)
+def _initial_state(config: FitConfig, network: linen.Module, rows: Rows, seed: int, num_members: int = 1) -> FitState:
+    initialise = jax.jit(_initial_parameters, static_argnums=0)
+
+    def member(index: int) -> FitState:
+        parameter_key, order_key = jax.random.split(jax.random.key(member_seed(seed, index)))
+        parameters = initialise(network, parameter_key, rows.inputs[:1])
+        # The optimiser's state does not depend on how many steps its schedule has.
+        return FitState(parameters, make_optimiser(config, 1).init(parameters), order_key)
+
+    members = [member(index) for index in range(num_members)]
+    state = members[0] if num_members == 1 else jax.tree.map(lambda *leaves: jnp.stack(leaves), *members)
     return jax.device_put(state, jax.local_devices()[0])  # committed, as a restored one is: one compilation for both
 
 

@@ -3,13 +3,14 @@
 The paper's form maps scaled lengths to the pose. The corrected form works in the arm's own coordinates: the nominal
 bends of the lengths go in, the correction to the bends comes out (what joint encoders measure), and the closed-form
 kinematics makes the pose of them. Sag, strand stretch and friction bend the joints; the links stay rigid, so nothing
-is lost, and the network learns eight small smooth numbers instead of the kinematics of the whole arm.
+is lost, and the network learns eight small smooth numbers instead of the kinematics of the whole arm. A third form
+lies between the two, to tell what comes in from what goes out: scaled lengths go in, the correction comes out.
 """
 
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -31,14 +32,17 @@ PoseFunction = Callable[[jax.Array], jax.Array]
 class ForwardModelConfig:
     """Group `forward_model`."""
 
-    form: Literal["paper", "corrected"] = "corrected"
-    """"paper": scaled lengths -> pose; "corrected": nominal bends -> correction of the bends, then the kinematics."""
+    form: Literal["paper", "corrected_from_lengths", "corrected"] = "corrected"
+    """"paper": scaled lengths -> pose; "corrected": nominal bends -> correction of the bends, then the kinematics;
+    "corrected_from_lengths": scaled lengths -> the same correction."""
     network: NetworkConfig = NetworkConfig()
     """Size of the network."""
     fit: FitConfig = FitConfig()
     """How it is fitted."""
     held_out: Annotated[float, Range(above=0.0, high=0.5)] = 0.1
     """Share of the rows that the fit never sees; errors are reported on them."""
+    ensemble: Annotated[int, Range(1, 64)] = 1
+    """Networks fitted together from other random starts; their mean answers, their spread says how sure it is."""
 
 
 @struct.dataclass
@@ -47,11 +51,13 @@ class ForwardModel:
 
     fitted: FittedNetwork
     config: ForwardModelConfig = struct.field(pytree_node=False)
+    sigma_factors: Any = None
+    """(2,) of an ensemble: what the spreads of position and orientation are multiplied by; see `model_uncertainty`."""
 
 
 def model_inputs(robot: Robot, form: str, lengths: jax.Array) -> jax.Array:
     """What enters the network, scaled to [-1, 1], from cable lengths (num_cables,) [m]."""
-    if form == "paper":
+    if form in ("paper", "corrected_from_lengths"):
         return lengths / cable_strokes(robot)
     return bends_from_cables(robot, lengths).reshape(-1) / jnp.sin(robot.bend_limit / 2.0)
 
@@ -89,6 +95,8 @@ def save_forward_model(path: Path, robot: Robot, model: ForwardModel) -> None:
         "output_mean": np.asarray(model.fitted.output_mean),
         "output_std": np.asarray(model.fitted.output_std),
     }
+    if model.sigma_factors is not None:
+        tree["sigma_factors"] = np.asarray(model.sigma_factors)
     save_parameters(path, tree, {"robot_hash": robot_hash(robot), "config": as_mapping(model.config)})
 
 
@@ -101,8 +109,10 @@ def load_forward_model(path: Path, robot: Robot) -> ForwardModel:
     tree, description = load_parameters(path)
     if description.get("robot_hash") != robot_hash(robot):
         raise ArtifactError(f"{path}.json: belongs to another robot than {robot.name}")
-    fitted = FittedNetwork(**jax.tree.map(jnp.asarray, tree))
-    return ForwardModel(fitted, build(ForwardModelConfig, description["config"]))
+    config = build(ForwardModelConfig, description["config"])
+    sigma_factors = tree.pop("sigma_factors", None)
+    fitted = FittedNetwork(**jax.tree.map(jnp.asarray, tree), num_members=config.ensemble)
+    return ForwardModel(fitted, config, sigma_factors)
 
 
 def load_pose_function(path: Path, robot: Robot) -> PoseFunction:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.geometry.pose import row_errors
-from qjrl.learning.fitting import fit
+from qjrl.learning.fitting import FitResult, fit
 from qjrl.robot.forward_model import (
     ForwardModel,
     ForwardModelConfig,
@@ -18,6 +18,7 @@ from qjrl.robot.forward_model import (
     model_pose,
     pose_function,
 )
+from qjrl.robot.model_uncertainty import calibrate
 from qjrl.robot.verbs import Robot, bends_from_cables
 
 Rows = Mapping[str, np.ndarray]
@@ -31,9 +32,36 @@ def fit_forward_model(
     Returns:
         The best model, and its held-out errors beside the nominal closed form's on the same rows.
     """
-    settled = {name: column[data["converged"]] for name, column in data.items()}
-    fitted_rows, held_out_rows = split_rows(len(settled["seed"]), config.held_out, seed)
-    train, held_out = _take(settled, fitted_rows), _take(settled, held_out_rows)
+    train, held_out = settled_split(data, config.held_out, seed)
+    model, result = fit_rows(robot, config, (train, held_out), seed, directory)
+    metrics = {
+        "form": config.form,
+        "rows": {
+            "fitted": len(train["seed"]),
+            "held_out": len(held_out["seed"]),
+            "unsettled": int(np.sum(~data["converged"])),
+        },
+        "best_epoch": result.epoch,
+        "held_out": result.metrics,
+        "nominal": pose_errors(
+            jax.vmap(pose_function(robot, None))(jnp.asarray(held_out["cable_lengths"])), held_out["pose"]
+        ),
+    }
+    if config.ensemble > 1:
+        model, metrics["uncertainty"], _ = calibrate(robot, model, held_out)
+    return model, metrics
+
+
+def fit_rows(
+    robot: Robot,
+    config: ForwardModelConfig,
+    split: tuple[Rows, Rows],
+    seed: int,
+    directory: Path,
+    label: str = "fitting",
+) -> tuple[ForwardModel, FitResult]:
+    """Fit on the first rows of a split, all settled; keep the checkpoint whose median error on the second is least."""
+    train, held_out = split
     inputs = jax.jit(jax.vmap(lambda row: model_inputs(robot, config.form, row)))(jnp.asarray(train["cable_lengths"]))
     result = fit(
         config.fit,
@@ -43,22 +71,17 @@ def fit_forward_model(
         "median_mm",
         directory,
         seed,
-        label="fitting",
+        label=label,
+        num_members=config.ensemble,
     )
-    metrics = {
-        "form": config.form,
-        "rows": {
-            "fitted": len(fitted_rows),
-            "held_out": len(held_out_rows),
-            "unsettled": int(np.sum(~data["converged"])),
-        },
-        "best_epoch": result.epoch,
-        "held_out": result.metrics,
-        "nominal": pose_errors(
-            jax.vmap(pose_function(robot, None))(jnp.asarray(held_out["cable_lengths"])), held_out["pose"]
-        ),
-    }
-    return ForwardModel(result.fitted, config), metrics
+    return ForwardModel(result.fitted, config), result
+
+
+def settled_split(data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """The settled rows of a data set, to fit and to hold out."""
+    settled = _take(dict(data), np.flatnonzero(data["converged"]))
+    fitted_rows, held_out_rows = split_rows(len(settled["seed"]), held_out, seed)
+    return _take(settled, fitted_rows), _take(settled, held_out_rows)
 
 
 def model_targets(robot: Robot, form: str, data: Rows) -> jax.Array:
@@ -86,6 +109,7 @@ def pose_errors(poses: Any, truth: Any) -> dict[str, float]:
         "p90_mm": float(np.percentile(millimetres, 90)),
         "p99_mm": float(np.percentile(millimetres, 99)),
         "median_deg": float(np.median(degrees)),
+        "p90_deg": float(np.percentile(degrees, 90)),
         "p99_deg": float(np.percentile(degrees, 99)),
     }
 

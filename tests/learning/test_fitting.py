@@ -6,7 +6,7 @@ import pytest
 
 from qjrl.artifacts import ArtifactError, load
 from qjrl.learning.divergence import TrainingDiverged
-from qjrl.learning.fitting import FitConfig, epoch_order, fit
+from qjrl.learning.fitting import FitConfig, epoch_order, fit, member_seed, predict, predict_members
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
 
 CONFIG = FitConfig(epochs=6, batch_size=32, evaluate_every=2)
@@ -54,7 +54,7 @@ def interrupted_after(calls):
 
 
 def without_seconds(path):
-    return [{name: value for name, value in line.items() if name != "seconds"} for line in load(path)]
+    return [{name: value for name, value in line.items() if "seconds" not in name} for line in load(path)]
 
 
 def assert_same_bits(one, other):
@@ -88,6 +88,29 @@ def test_nothing_of_a_fit_is_float64(whole):
     state = load(whole[1] / "checkpoints")["6"]
     dtypes = {leaf.dtype for leaf in jax.tree.leaves(state)}
     assert dtypes == {np.dtype(np.float32), np.dtype(np.int32), np.dtype(np.uint32)}
+
+
+def test_every_member_of_an_ensemble_is_the_plain_fit_of_its_own_seed(tmp_path):
+    """Up to the order of the sums of a batched product; the first member has the ensemble's seed."""
+    last = dataclasses.replace(CONFIG, epochs=2)
+    ensemble = fit(last, NETWORK, DATA, evaluate, "error", tmp_path / "all", seed=3, num_members=2).fitted
+    plain = [
+        fit(last, NETWORK, DATA, evaluate, "error", tmp_path / str(index), member_seed(3, index)).fitted
+        for index in range(2)
+    ]
+    answers = np.asarray(predict_members(NETWORK, ensemble, HELD_OUT))
+    assert member_seed(3, 0) == 3 and np.abs(answers[0] - answers[1]).max() > 1e-4
+    for answer, one in zip(answers, plain, strict=True):
+        np.testing.assert_allclose(answer, predict(NETWORK, one, HELD_OUT), atol=2e-6)
+    np.testing.assert_allclose(predict(NETWORK, ensemble, HELD_OUT), answers.mean(axis=0), atol=1e-6)
+
+
+def test_an_interrupted_ensemble_goes_on_as_if_it_had_not_been(tmp_path):
+    once = fit(CONFIG, NETWORK, DATA, evaluate, "error", tmp_path / "once", seed=0, num_members=2)
+    with pytest.raises(KeyboardInterrupt):
+        fit(CONFIG, NETWORK, DATA, interrupted_after(2), "error", tmp_path / "twice", seed=0, num_members=2)
+    again = fit(CONFIG, NETWORK, DATA, evaluate, "error", tmp_path / "twice", seed=0, num_members=2)
+    assert_same_bits(once.fitted, again.fitted)
 
 
 def test_the_best_checkpoint_is_the_one_returned(tmp_path):

@@ -24,13 +24,14 @@ from qjrl.robot.forward_model import (
 )
 from qjrl.robot.model_fitting import evaluation, fit_forward_model, model_targets, pose_errors, split_rows
 
-FORMS = ("paper", "corrected")
+FORMS = ("paper", "corrected_from_lengths", "corrected")
 CORRECTED = ForwardModelConfig(
     "corrected",
     NetworkConfig(width=32, num_blocks=1, num_frequencies=1, zero_output=True),
     FitConfig(epochs=40, batch_size=16, evaluate_every=20),
     held_out=0.25,
 )
+FROM_LENGTHS = dataclasses.replace(CORRECTED, form="corrected_from_lengths")
 PAPER = dataclasses.replace(CORRECTED, form="paper", network=NetworkConfig(16, 1, 2, zero_output=False))
 
 
@@ -66,9 +67,10 @@ def fitted(tmp_path_factory):
     return fit_forward_model(ARM, CORRECTED, rows_with_some_unsettled(), 0, tmp_path_factory.mktemp("fit"))
 
 
-def test_the_untrained_corrected_model_is_exactly_the_nominal_closed_form():
+@pytest.mark.parametrize("config", [FROM_LENGTHS, CORRECTED], ids=FORMS[1:])
+def test_an_untrained_correction_is_exactly_the_nominal_closed_form(config):
     lengths = settled()["cable_lengths"]
-    np.testing.assert_array_equal(poses_of(untrained(CORRECTED), lengths), poses_of(None, lengths))
+    np.testing.assert_array_equal(poses_of(untrained(config), lengths), poses_of(None, lengths))
 
 
 def test_the_true_corrections_give_the_settled_poses():
@@ -146,7 +148,7 @@ def test_the_evaluation_of_perfect_answers_is_zero():
     assert errors["p99_mm"] < 1e-3 and errors["p99_deg"] < 1e-3
 
 
-@pytest.mark.parametrize("config", [CORRECTED, PAPER], ids=FORMS)
+@pytest.mark.parametrize("config", [PAPER, FROM_LENGTHS, CORRECTED], ids=FORMS)
 def test_a_saved_model_comes_back_bit_for_bit(tmp_path, config):
     model, lengths = untrained(config), settled()["cable_lengths"][:8]
     save_forward_model(tmp_path / "model", ARM, model)
