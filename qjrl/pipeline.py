@@ -82,6 +82,7 @@ STAGES: dict[str, Stage] = {
         writes="open_loop",
         default=False,
     ),
+    "model_study": Stage("qjrl.stages.model_study", "compare forward models", ("sample",), "model_study", False),
     "export": Stage(
         "qjrl.stages.export",
         "write forward model and inverse kinematics as files that run without qjrl",
