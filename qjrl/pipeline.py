@@ -103,6 +103,7 @@ STAGES: dict[str, Stage] = {
         writes="describe",
         default=False,
     ),
+    "pretension": Stage("qjrl.stages.pretension", "find the least pretension", writes="pretension", default=False),
     "workspace": Stage(
         "qjrl.stages.workspace", "measure and compare what the tips of arms reach", writes="workspace", default=False
     ),

@@ -1,0 +1,125 @@
+"""Stage `pretension`: the least pretension that keeps every strand taut over the workspace or along a path."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from qjrl import artifacts, progress
+from qjrl.analysis import pretension_report as report
+from qjrl.analysis import tension_maps as maps
+from qjrl.analysis.canvas import save_png
+from qjrl.analysis.report import write_report
+from qjrl.analysis.tables import as_text
+from qjrl.control import pretension as search
+from qjrl.control.pretension import PretensionConfig, lowest_tension
+from qjrl.control.tension_check import TensionCheck, check_tension
+from qjrl.control.tension_poses import single_segment_poses
+from qjrl.robot import robot_from_mapping
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.settle_problem import SettleConfig
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    pretension: PretensionConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `tensions.npz`, figures and `report.html`; table and override go to the log."""
+    del inputs
+    robot, settings = robot_from_mapping(config.robot), config.pretension
+    poses = search.poses_to_keep(robot, settings, config.seed)
+    with progress.track((len(search.curve_of(robot, settings)) + 1) * len(poses), "settling") as advance:
+        found = search.survey(robot, settings, config.simulation, poses, advance)
+        choice = search.choose(robot, settings, config.simulation, found, advance)
+    checks = found.checks | {choice.at: choice.check}
+    shown = {pretension: checks[pretension] for pretension in dict.fromkeys((float(robot.pretension), choice.at))}
+    metrics = report.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
+    artifacts.write_json(out / "metrics.json", metrics)
+    artifacts.write_arrays(out / "tensions.npz", _arrays(found, choice))
+    pictures = _pictures(robot, config, metrics, shown)
+    for name, (figure, _) in pictures.items():
+        save_png(figure, out / f"{name}.png", dpi=110)
+    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    write_report(out / "report.html", report.pretension_report(settings, metrics, pictures, provenance))
+    log.info("%s\n", as_text(report.curve_table(settings, metrics)))
+    log.info("as described: %s", metrics["own"]["message"] or "every pose is safe")
+    if settings.path is None:
+        log.info("%s", report.on_fresh_poses(metrics))
+    log.info("%s%s", report.headline(settings, metrics), f": {metrics['override']}" if metrics["override"] else "")
+
+
+def _on_fresh_poses(robot: Robot, config: Config, pretension: float) -> dict:
+    """What the answer does to poses that the search has not seen."""
+    settings = config.pretension
+    if settings.path is not None:
+        return {}
+    poses = search.fresh_poses(robot, settings, config.seed)
+    arm = search.at_pretension(robot, pretension)
+    with progress.track(len(poses), "settling other poses") as advance:
+        check = check_tension(arm, poses.cable_lengths, settings.least_tension, config.simulation, advance)
+    return {"fresh": report.point_of(pretension, check, poses) | {"poses": len(poses), "message": check.message}}
+
+
+def _arrays(found: search.Survey, choice: search.Choice) -> dict[str, np.ndarray]:
+    return {
+        "cable_lengths": found.poses.cable_lengths,
+        "bends": found.poses.bends,
+        "pretension": np.array(list(found.checks)),
+        "lowest_tension": found.lowest_tension,
+        "at": np.array(choice.at),
+        "strand_tension": choice.check.rest.strand_tension,
+        "pose": choice.check.rest.pose,
+        "converged": choice.check.rest.converged,
+    }
+
+
+def _pictures(
+    robot: Robot, config: Config, metrics: dict, shown: dict[float, TensionCheck]
+) -> dict[str, tuple[Figure, str]]:
+    """File name -> figure and caption."""
+    settings = config.pretension
+    least, chosen = settings.least_tension, metrics["least_pretension"]
+    tensions = {_label(pretension): lowest_tension(check) for pretension, check in shown.items()}
+    pictures = {
+        "trade_offs": (
+            maps.trade_offs(metrics["curve"], least, chosen),
+            "What a pretension buys and costs; the dashed line is the answer."
+            if chosen
+            else "What a pretension costs.",
+        )
+    }
+    if settings.path is not None:
+        caption = "The least loaded strand at every row looked at of the path."
+        return pictures | {"path": (maps.along_path(tensions, least), caption)}
+    tips = {_label(pretension): check.rest.pose[:, :3] for pretension, check in shown.items()}
+    caption = (
+        "The least loaded strand of every pose where its tip rests; poses with less are drawn above those with more."
+    )
+    pictures["tip_map"] = (maps.tip_maps(tips, tensions, least), caption)
+    caption = "The least loaded strand while one segment bends and the others are straight."
+    return pictures | {"segment_map": (_segment_map(robot, config, list(shown)), caption)}
+
+
+def _segment_map(robot: Robot, config: Config, pretensions: list[float]) -> Figure:
+    settings, tensions = config.pretension, {}
+    poses = single_segment_poses(robot, settings.num_angles, settings.num_directions)
+    with progress.track(len(pretensions) * len(poses), "settling single bends") as advance:
+        for pretension in pretensions:
+            arm = search.at_pretension(robot, pretension)
+            check = check_tension(arm, poses.cable_lengths, settings.least_tension, config.simulation, advance)
+            shape = (robot.num_segments, settings.num_angles, settings.num_directions)
+            tensions[_label(pretension)] = lowest_tension(check).reshape(shape)
+    return maps.segment_maps(tensions, robot.config.joint.bend_limit_deg)
+
+
+def _label(pretension: float) -> str:
+    return f"{pretension:g} N at home"

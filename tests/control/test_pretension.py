@@ -1,0 +1,143 @@
+"""The search for the least pretension: its arithmetic on made-up tensions, its answer on the two-segment arm."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from arms import arm_named
+
+from qjrl.artifacts import write_arrays
+from qjrl.config import ConfigError
+from qjrl.control import pretension as search
+from qjrl.control.pretension import PretensionConfig, Survey, choose, needed_pretension, survey
+from qjrl.control.tension_check import TensionCheck, check_tension
+from qjrl.control.tension_poses import path_poses, single_segment_poses, workspace_poses
+from qjrl.simulation import SettleConfig
+from qjrl.simulation.settling import SettleResult
+
+ARM = arm_named("qj_22")
+POSES = workspace_poses(ARM, "even", 16, seed=0)
+CONFIG = PretensionConfig(pretensions=(10.0, 20.0, 40.0), resolution=0.5)
+
+
+def made_up(tension: np.ndarray, settled: bool = True) -> TensionCheck:
+    """A check of poses whose strands all carry what is given (n,)."""
+    nothing = np.zeros((len(tension), 1))
+    strands = np.repeat(tension[:, None], ARM.num_strands, axis=1)
+    rest = SettleResult(nothing, nothing, strands, nothing, tension, tension, tension, np.full(len(tension), settled))
+    return TensionCheck(ARM, rest, CONFIG.least_tension)
+
+
+@pytest.fixture
+def linear_physics(monkeypatch):
+    """Every pose's strands carry the pretension less what the first cable says [N]; returns what was settled."""
+    settled = []
+
+    def check(robot, lengths, least_tension, simulation, advance=None):
+        settled.append((float(robot.pretension), len(lengths)))
+        tension = float(robot.pretension) - lengths[:, 0]
+        return made_up(tension) if float(robot.pretension) < 100.0 else made_up(tension, settled=False)
+
+    monkeypatch.setattr(search, "check_tension", check)
+    return settled
+
+
+def with_losses(*losses: float):
+    """Poses that lose so much tension [N]."""
+    lengths = np.zeros((len(losses), ARM.num_cables))
+    lengths[:, 0] = losses
+    return dataclasses.replace(POSES, cable_lengths=lengths)
+
+
+def test_the_answer_is_the_least_multiple_that_keeps_the_worst_pose(linear_physics):
+    poses = with_losses(3.0, 14.3, 9.0, 21.7)
+    found = survey(ARM, CONFIG, SettleConfig(), poses)
+    assert list(found.checks) == [10.0, 15.0, 20.0, 40.0]  # the arm's own 15 N among them
+    choice = choose(ARM, CONFIG, SettleConfig(), found)
+    assert choice.pretension == choice.at == 24.0  # 21.7 lost and 2 kept
+    assert choice.too_little == 23.5
+    assert choice.check.is_safe.all()
+    halving = linear_physics[4:-1]
+    assert halving[0] == (30.0, 1)  # at 20 N one pose of four is left to look at
+    assert linear_physics[-1] == (24.0, 4) and choice.num_settled == sum(count for _, count in linear_physics[4:])
+
+
+def test_a_share_of_the_poses_may_be_given_up(linear_physics):
+    config = dataclasses.replace(CONFIG, share=0.75)
+    found = survey(ARM, config, SettleConfig(), with_losses(3.0, 14.3, 9.0, 21.7))
+    choice = choose(ARM, config, SettleConfig(), found)
+    assert choice.pretension == 16.5 and choice.check.is_safe.tolist() == [True, True, True, False]
+
+
+def test_none_is_said_where_nothing_on_the_curve_is_enough(linear_physics):
+    found = survey(ARM, CONFIG, SettleConfig(), with_losses(3.0, 50.0))
+    choice = choose(ARM, CONFIG, SettleConfig(), found)
+    assert choice.pretension is None and choice.at == 10.0 and choice.num_settled == 0
+    unstable = dataclasses.replace(CONFIG, pretensions=(1.0, 200.0))
+    assert (
+        choose(ARM, unstable, SettleConfig(), survey(ARM, unstable, SettleConfig(), with_losses(20.0))).pretension
+        is None
+    )
+
+
+def test_needed_pretension_is_interpolated():
+    tension = {10.0: [1.0, 0.0, 5.0], 20.0: [9.0, 0.0, 15.0], 40.0: [29.0, 1.0, 35.0]}
+    found = Survey(with_losses(0.0, 0.0, 0.0), {key: made_up(np.array(row)) for key, row in tension.items()})
+    np.testing.assert_allclose(needed_pretension(CONFIG, found), [11.25, np.nan, 10.0])
+    assert found.num_falling == 0
+
+
+def test_the_physics_is_kept_at_the_answer_and_not_just_below():
+    config = PretensionConfig(pretensions=(5.0, 40.0), resolution=1.0)
+    found = survey(ARM, config, SettleConfig(), POSES)
+    choice = choose(ARM, config, SettleConfig(), found)
+    assert choice.pretension is not None and choice.check.is_safe.all()
+    assert choice.pretension - choice.too_little <= 1.5
+    below = search.at_pretension(ARM, choice.too_little)
+    assert not check_tension(below, POSES.cable_lengths, config.least_tension).is_safe.all()
+    assert np.nanmax(needed_pretension(config, found)) == pytest.approx(choice.pretension, abs=4.0)
+
+
+def test_poses_are_nested_and_within_the_limit():
+    largest = np.sin(float(ARM.bend_limit) / 2.0) + 1e-12
+    for law in ("even", "uniform"):
+        poses = workspace_poses(ARM, law, 32, seed=1)
+        np.testing.assert_array_equal(poses.bends[:16], workspace_poses(ARM, law, 16, seed=1).bends)
+        assert np.linalg.norm(poses.bends, axis=2).max() <= largest
+    single = single_segment_poses(ARM, 3, 4).bends
+    assert single.shape == (2 * 3 * 4, 2, 2)
+    radius = np.linalg.norm(single.reshape(2, 3, 4, 2, 2), axis=-1)
+    assert np.all(radius[0, :, :, 1] == 0.0) and np.all(radius[1, :, :, 0] == 0.0)
+    np.testing.assert_allclose(radius[0, 2, :, 0], largest)
+
+
+def test_a_path_is_read_as_lengths_or_poses(tmp_path):
+    lengths = POSES.cable_lengths
+    write_arrays(tmp_path / "trajectory.npz", {"time": np.arange(16), "cable_lengths": lengths})
+    write_arrays(tmp_path / "poses.npz", {"pose": 1.0 * POSES.nominal_pose[:3]})
+    np.savetxt(tmp_path / "named.csv", lengths, delimiter=",", header="c1,c5,c3,c7", comments="")
+    np.testing.assert_array_equal(path_poses(ARM, tmp_path / "trajectory.npz", 100).cable_lengths, lengths)
+    np.testing.assert_allclose(path_poses(ARM, tmp_path / "named.csv", 100).cable_lengths, lengths, atol=1e-15)
+    thinned = path_poses(ARM, tmp_path / "trajectory.npz", 3)
+    np.testing.assert_array_equal(thinned.cable_lengths, lengths[[0, 8, 15]])
+    np.testing.assert_allclose(thinned.nominal_pose, POSES.nominal_pose[[0, 8, 15]], atol=1e-12)
+    found = path_poses(ARM, tmp_path / "poses.npz", 100)
+    np.testing.assert_allclose(found.nominal_pose[:, :3], POSES.nominal_pose[:3, :3], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("short.csv", "0,0,0\n", "rows of shape (1, 3)"),
+        ("words.csv", "0,0,0,0\n0,x,0,0\n", "could not convert"),
+        ("nan.csv", "0,0,0,0\n0,nan,0,0\n", "not finite at row 1"),
+        ("missing.npz", None, "does not exist"),
+        ("far.csv", "0,0,9,1,0,0,0,1,0\n", "1 poses that the closed form does not reach"),
+    ],
+)
+def test_a_path_that_cannot_be_used_is_refused_in_one_line(tmp_path, name, text, said):
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    with pytest.raises(ConfigError, match=r"pretension\.path") as error:
+        path_poses(ARM, tmp_path / name, 10)
+    assert said in str(error.value) and "\n" not in str(error.value)
