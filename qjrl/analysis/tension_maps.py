@@ -15,7 +15,7 @@ def trade_offs(rows: Sequence[Mapping[str, float]], least_tension: float, chosen
     """What a pretension buys and costs, four plots against it.
 
     Args:
-        rows: one a pretension, rising, with the keys of `pretension_report.point_of`.
+        rows: one a pretension, rising, with the keys of the metrics' `curve`.
         least_tension: asked of every strand [N].
         chosen: the answer [N], if there is one.
     """
@@ -29,7 +29,8 @@ def trade_offs(rows: Sequence[Mapping[str, float]], least_tension: float, chosen
         ("largest over the poses [N]", {"strand tension": "largest_tension", "motor force": "largest_motor_force"}, 1.0),
         ("tip off the closed form [mm]", {"median": "median_off_nominal", "largest": "largest_off_nominal"}, 1e3),
     )  # fmt: skip
-    for axes, (title, lines, scale) in zip(panels, plots, strict=True):
+    legends = ("upper left", "center right", "upper left", "upper center")
+    for axes, (title, lines, scale), place in zip(panels, plots, legends, strict=True):
         for index, (label, key) in enumerate(lines.items()):
             values = [scale * row[key] for row in rows]
             axes.plot(pretension, values, marker="o", markersize=3.5, color=series_colour(index), label=label)
@@ -37,7 +38,7 @@ def trade_offs(rows: Sequence[Mapping[str, float]], least_tension: float, chosen
             axes.axvline(chosen, color=LIGHT["reference"], linewidth=1.2, linestyle=(0, (4, 3)))
         _bare(axes, "pretension at home [N]", title)
         logarithmic(axes, "x")
-        axes.legend()
+        axes.legend(loc=place)
     panels[0].axhline(least_tension, color=LIGHT["bad"], linewidth=1.0, linestyle=(0, (1, 1.2)))
     panels[0].annotate(f"{least_tension:g} N asked", (pretension[-1], least_tension), (0, 4),
                        textcoords="offset points", ha="right", fontsize=8.0, color=LIGHT["bad"])  # fmt: skip

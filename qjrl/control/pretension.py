@@ -35,6 +35,9 @@ class PretensionConfig:
     """Share of the poses that are to be safe: taut, within motors and strength, at rest."""
     law: Law = "even"
     """Of the poses over the workspace: "even" over each segment's disc of bends, or "uniform" in angle."""
+    rim_share: Annotated[float, Range(low=0.0, high=1.0)] = 0.25
+    """Share of those poses with all segments at their limits, in random directions. There the strands that cross all joints
+    lose most, and hardly a random pose comes near; ours."""
     num_poses: Annotated[int, Range(8, 1_000_000)] = 512
     """Poses over the workspace, powers of two are the most even; of a path, at most so many of its rows."""
     path: str | None = None
@@ -101,12 +104,12 @@ def poses_to_keep(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:
     """
     if config.path is not None:
         return path_poses(robot, Path(config.path), config.num_poses)
-    return workspace_poses(robot, config.law, config.num_poses, seed)
+    return workspace_poses(robot, config.law, config.num_poses, seed, config.rim_share)
 
 
 def fresh_poses(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:
     """As many other poses over the workspace, to hold the answer against."""
-    return workspace_poses(robot, config.law, config.num_poses, seed + _FRESH_SEED)
+    return workspace_poses(robot, config.law, config.num_poses, seed + _FRESH_SEED, config.rim_share)
 
 
 def curve_of(robot: Robot, config: PretensionConfig) -> tuple[float, ...]:
@@ -165,7 +168,8 @@ def off_nominal(check: TensionCheck, poses: PoseSet) -> np.ndarray:
 def needed_pretension(config: PretensionConfig, found: Survey) -> np.ndarray:
     """(n,) pretension at which each pose's least loaded strand reaches the stated tension [N], by linear interpolation.
 
-    NaN where no pretension of the curve does; the lowest where the first already does.
+    NaN where no pretension of the curve does; the lowest where the first already does. Up to one step of the curve too low
+    where the strand is slack at the step's lower end.
     """
     pretensions, tension = np.array(list(found.checks)), found.lowest_tension
     is_taut = tension >= config.least_tension

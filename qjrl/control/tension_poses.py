@@ -38,15 +38,18 @@ class PoseSet:
         return len(self.cable_lengths)
 
 
-def workspace_poses(robot: Robot, law: Law, count: int, seed: int) -> PoseSet:
+def workspace_poses(robot: Robot, law: Law, count: int, seed: int, rim_share: float = 0.0) -> PoseSet:
     """`count` points of one scrambled Sobol sequence; its first half is the set of half the size.
 
     Args:
         law: "even" over each segment's disc of bends, as data sets are; "uniform" in angle up to the limit and in
             direction, the paper's law of test poses (section 5.2).
+        rim_share: of the poses, all segments of which are bent to the limit.
     """
-    drawn = qmc.Sobol(2 * robot.num_segments, rng=seed).random(2 ** math.ceil(math.log2(max(count, 1))))
-    return _of_bends(robot, row_by_row({"even": bends_from_unit_cube, "uniform": _uniform}[law], robot, drawn[:count]))
+    drawn = qmc.Sobol(2 * robot.num_segments + 1, rng=seed).random(2 ** math.ceil(math.log2(max(count, 1))))[:count]
+    drawn[drawn[:, -1] < rim_share, 0:-1:2] = 1.0  # both laws read radius, turn, radius, turn, ...
+    bends = row_by_row({"even": bends_from_unit_cube, "uniform": _uniform}[law], robot, drawn[:, :-1])
+    return _of_bends(robot, bends)
 
 
 def single_segment_poses(robot: Robot, num_angles: int, num_directions: int) -> PoseSet:

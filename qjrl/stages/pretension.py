@@ -3,9 +3,9 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from qjrl import artifacts, progress
 from qjrl.analysis import pretension_report as report
@@ -14,6 +14,7 @@ from qjrl.analysis.canvas import save_png
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
 from qjrl.control import pretension as search
+from qjrl.control import pretension_numbers as numbers
 from qjrl.control.pretension import PretensionConfig, lowest_tension
 from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.control.tension_poses import single_segment_poses
@@ -42,19 +43,19 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         choice = search.choose(robot, settings, config.simulation, found, advance)
     checks = found.checks | {choice.at: choice.check}
     shown = {pretension: checks[pretension] for pretension in dict.fromkeys((float(robot.pretension), choice.at))}
-    metrics = report.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
+    metrics = numbers.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
     artifacts.write_json(out / "metrics.json", metrics)
     artifacts.write_arrays(out / "tensions.npz", _arrays(found, choice))
     pictures = _pictures(robot, config, metrics, shown)
     for name, (figure, _) in pictures.items():
         save_png(figure, out / f"{name}.png", dpi=110)
     provenance = artifacts.load(out / artifacts.PROVENANCE)
-    write_report(out / "report.html", report.pretension_report(settings, metrics, pictures, provenance))
-    log.info("%s\n", as_text(report.curve_table(settings, metrics)))
+    write_report(out / "report.html", report.pretension_report(metrics, pictures, provenance))
+    log.info("%s\n", as_text(report.curve_table(metrics)))
     log.info("as described: %s", metrics["own"]["message"] or "every pose is safe")
     if settings.path is None:
         log.info("%s", report.on_fresh_poses(metrics))
-    log.info("%s%s", report.headline(settings, metrics), f": {metrics['override']}" if metrics["override"] else "")
+    log.info("%s%s", report.headline(metrics), f": {metrics['override']}" if metrics["override"] else "")
 
 
 def _on_fresh_poses(robot: Robot, config: Config, pretension: float) -> dict:
@@ -66,7 +67,7 @@ def _on_fresh_poses(robot: Robot, config: Config, pretension: float) -> dict:
     arm = search.at_pretension(robot, pretension)
     with progress.track(len(poses), "settling other poses") as advance:
         check = check_tension(arm, poses.cable_lengths, settings.least_tension, config.simulation, advance)
-    return {"fresh": report.point_of(pretension, check, poses) | {"poses": len(poses), "message": check.message}}
+    return {"fresh": numbers.point_of(pretension, check, poses) | {"poses": len(poses), "message": check.message}}
 
 
 def _arrays(found: search.Survey, choice: search.Choice) -> dict[str, np.ndarray]:
@@ -84,7 +85,7 @@ def _arrays(found: search.Survey, choice: search.Choice) -> dict[str, np.ndarray
 
 def _pictures(
     robot: Robot, config: Config, metrics: dict, shown: dict[float, TensionCheck]
-) -> dict[str, tuple[Figure, str]]:
+) -> dict[str, tuple[Any, str]]:
     """File name -> figure and caption."""
     settings = config.pretension
     least, chosen = settings.least_tension, metrics["least_pretension"]
@@ -109,7 +110,7 @@ def _pictures(
     return pictures | {"segment_map": (_segment_map(robot, config, list(shown)), caption)}
 
 
-def _segment_map(robot: Robot, config: Config, pretensions: list[float]) -> Figure:
+def _segment_map(robot: Robot, config: Config, pretensions: list[float]) -> Any:
     settings, tensions = config.pretension, {}
     poses = single_segment_poses(robot, settings.num_angles, settings.num_directions)
     with progress.track(len(pretensions) * len(poses), "settling single bends") as advance:

@@ -104,6 +104,10 @@ def test_poses_are_nested_and_within_the_limit():
         poses = workspace_poses(ARM, law, 32, seed=1)
         np.testing.assert_array_equal(poses.bends[:16], workspace_poses(ARM, law, 16, seed=1).bends)
         assert np.linalg.norm(poses.bends, axis=2).max() <= largest
+    rim = workspace_poses(ARM, "even", 32, seed=1, rim_share=0.25).bends
+    at_limit = np.isclose(np.linalg.norm(rim, axis=2), largest).all(axis=1)
+    assert 5 <= at_limit.sum() <= 11
+    np.testing.assert_array_equal(rim[~at_limit], workspace_poses(ARM, "even", 32, seed=1).bends[~at_limit])
     single = single_segment_poses(ARM, 3, 4).bends
     assert single.shape == (2 * 3 * 4, 2, 2)
     radius = np.linalg.norm(single.reshape(2, 3, 4, 2, 2), axis=-1)
@@ -114,15 +118,22 @@ def test_poses_are_nested_and_within_the_limit():
 def test_a_path_is_read_as_lengths_or_poses(tmp_path):
     lengths = POSES.cable_lengths
     write_arrays(tmp_path / "trajectory.npz", {"time": np.arange(16), "cable_lengths": lengths})
-    write_arrays(tmp_path / "poses.npz", {"pose": 1.0 * POSES.nominal_pose[:3]})
     np.savetxt(tmp_path / "named.csv", lengths, delimiter=",", header="c1,c5,c3,c7", comments="")
     np.testing.assert_array_equal(path_poses(ARM, tmp_path / "trajectory.npz", 100).cable_lengths, lengths)
     np.testing.assert_allclose(path_poses(ARM, tmp_path / "named.csv", 100).cable_lengths, lengths, atol=1e-15)
     thinned = path_poses(ARM, tmp_path / "trajectory.npz", 3)
     np.testing.assert_array_equal(thinned.cable_lengths, lengths[[0, 8, 15]])
     np.testing.assert_allclose(thinned.nominal_pose, POSES.nominal_pose[[0, 8, 15]], atol=1e-12)
+
+
+@pytest.mark.slow
+def test_poses_of_a_path_are_inverted_or_refused(tmp_path):
+    write_arrays(tmp_path / "poses.npz", {"pose": POSES.nominal_pose[:3]})
     found = path_poses(ARM, tmp_path / "poses.npz", 100)
     np.testing.assert_allclose(found.nominal_pose[:, :3], POSES.nominal_pose[:3, :3], atol=1e-4)
+    (tmp_path / "far.csv").write_text("0,0,9,1,0,0,0,1,0\n")
+    with pytest.raises(ConfigError, match="1 poses that the closed form does not reach"):
+        path_poses(ARM, tmp_path / "far.csv", 10)
 
 
 @pytest.mark.parametrize(
@@ -132,7 +143,6 @@ def test_a_path_is_read_as_lengths_or_poses(tmp_path):
         ("words.csv", "0,0,0,0\n0,x,0,0\n", "could not convert"),
         ("nan.csv", "0,0,0,0\n0,nan,0,0\n", "not finite at row 1"),
         ("missing.npz", None, "does not exist"),
-        ("far.csv", "0,0,9,1,0,0,0,1,0\n", "1 poses that the closed form does not reach"),
     ],
 )
 def test_a_path_that_cannot_be_used_is_refused_in_one_line(tmp_path, name, text, said):
