@@ -11,12 +11,13 @@ from flax import struct
 
 from qjrl.config import Range
 from qjrl.robot.forward_model import PoseFunction, pose_function
+from qjrl.robot.quaternion_arm.joint import vectors_from_bends
 from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.batching import in_batches
-from qjrl.solvers.levenberg_marquardt import DescentConfig, descend
-from qjrl.solvers.model_tip import lengths_of, tip_function
+from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
+from qjrl.solvers.model_tip import TipFunction, exact_tip_function, lengths_of, tip_function
 from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
 
 
@@ -43,6 +44,10 @@ class LeastSquaresConfig:
         RoundConfig(64, 100),
     )
     """The next only for targets that the ones before have not solved; the best so far goes on as one of the starts."""
+    model_damping: Annotated[float, Range(above=0.0)] = 1e-4
+    """As `descent.damping`, of descents on a model: they begin next to their answers."""
+    nearest_iterations: Annotated[int, Range(0, 10_000)] = 60
+    """Steps of a last descent, of targets that no round has solved, to the nearest feasible pose."""
     num_candidates: Annotated[int, Range(1, 100_000)] = 4096
     """Random poses; the starts of a target are the nearest of them."""
     batch_size: Annotated[int, Range(1, 65536)] = 256
@@ -73,6 +78,9 @@ def solve_least_squares(
 ) -> SolveResult:
     """Cable lengths whose pose under `model` is nearest to each target, joint limits kept.
 
+    A target out of reach gets the pose of least weighted squared error that any start finds, with the status NEAREST.
+    The bends stay within their limit, and so do the cables within their strokes; the forces are the physics' business.
+
     Args:
         robot: the arm.
         targets: (n, 9) poses [m, -].
@@ -91,21 +99,31 @@ def solve_least_squares(
         initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends
     best = _nothing_found(robot, len(checked))
     if initial_bends is not None:
-        best = dataclasses.replace(best, vectors=_vectors_of(check_initial_bends(robot, initial_bends, len(checked))))
+        best = dataclasses.replace(
+            best, vectors=vectors_from_bends(check_initial_bends(robot, initial_bends, len(checked)))
+        )
     for number, one_round in enumerate(config.rounds):
         rows = np.flatnonzero(best.status != Status.CONVERGED)
         if len(rows) == 0:
             break
         is_begun = number > 0 or initial_bends is not None
         starts = _starts(config, candidates, best.vectors[rows], checked[rows], number, is_begun)
-        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], one_round.iterations))
+        iterations = one_round.iterations
+        if model is not None and number > 0:  # the way there on the closed form, which costs next to nothing
+            starts = _descend(robot, None, config, starts, checked[rows], iterations).vectors
+            iterations = config.rounds[0].iterations
+        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], iterations))
+    rows = np.flatnonzero(best.status != Status.CONVERGED)
+    if len(rows) and config.nearest_iterations:
+        starts, steps = best.vectors[rows][:, None], config.nearest_iterations
+        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], steps, is_exact=True))
     return _judge(robot, model, config, checked, best)
 
 
 def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfig(), seed: int = 0) -> Candidates:
     """Poses all over the workspace for targets to start from: theta and phi uniform."""
     bends, poses = _random_poses(robot, jax.random.key(seed), config.num_candidates)
-    return Candidates(_vectors_of(np.asarray(bends)), _features(config, np.asarray(poses)))
+    return Candidates(vectors_from_bends(np.asarray(bends)), _features(config, np.asarray(poses)))
 
 
 @struct.dataclass
@@ -180,22 +198,30 @@ def _descend(
     starts: np.ndarray,
     targets: np.ndarray,
     iterations: int,
+    is_exact: bool = False,
 ) -> _Ends:
-    """The ends (rows, starts) of all descents of a round."""
+    """The ends (rows, starts) of all descents of a round; `is_exact`: along the model's own Jacobian."""
     shape = starts.shape[:2]
-    function = functools.partial(_descend_rows, config.descent, model, robot, np.int32(iterations))
+    tip = _tip_function(model, is_exact and model is not None)
+    descent = config.descent if model is None else dataclasses.replace(config.descent, damping=config.model_damping)
+    function = functools.partial(_descend_rows, descent, tip, robot, np.int32(iterations))
     ends = in_batches(
         function, config.batch_size, starts.reshape(-1, *starts.shape[2:]), np.repeat(targets, shape[1], axis=0)
     )
     return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), ends)
 
 
+@functools.lru_cache(maxsize=16)
+def _tip_function(model: PoseFunction | None, is_exact: bool) -> TipFunction:
+    """One function object a model: compiled once."""
+    return exact_tip_function(model) if is_exact else tip_function(model)
+
+
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _descend_rows(
-    config: DescentConfig, model: PoseFunction | None, robot: Robot, iterations, starts, targets
-) -> _Ends:
-    state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations, tip_function(model))
+def _descend_rows(config: DescentConfig, tip: TipFunction, robot: Robot, iterations, starts, targets) -> _Ends:
+    state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations, tip)
     status = jnp.where(state.has_stalled, int(Status.STALLED), int(Status.ITERATION_LIMIT))
+    status = jnp.where(is_nearest(robot, config, state), int(Status.NEAREST), status)
     status = jnp.where(state.is_near, int(Status.CONVERGED), status)
     return _Ends(jnp.moveaxis(state.vectors, -1, 0), state.residual.cost, status, state.steps)
 
@@ -228,14 +254,8 @@ def _judge_rows(
     lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(vectors)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
     result = describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
-    has_stalled = (result.status == Status.ITERATION_LIMIT) & (ended == Status.STALLED)
-    return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
-
-
-def _vectors_of(bends: np.ndarray) -> np.ndarray:
-    """Bend vectors theta (cos phi, sin phi) of bends sin(theta/2) (cos phi, sin phi), (..., 2)."""
-    sine = np.linalg.norm(bends, axis=-1, keepdims=True)
-    return bends * np.asarray(np.where(sine < 1e-8, 2.0, 2.0 * np.arcsin(sine) / np.maximum(sine, 1e-8)))
+    is_open = (result.status == Status.ITERATION_LIMIT) & (ended != Status.CONVERGED)
+    return dataclasses.replace(result, status=jnp.where(is_open, ended, result.status))
 
 
 @functools.partial(jax.jit, static_argnums=2)

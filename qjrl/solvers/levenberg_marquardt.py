@@ -40,6 +40,8 @@ class DescentConfig:
     """Position error that counts as converged [m] (paper 000, section 5.2)."""
     orientation_tolerance: Annotated[float, Range(above=0.0)] = math.radians(0.01)
     """Orientation error that counts as converged [rad] (the paper judges the roll alone)."""
+    optimality: Annotated[float, Range(above=0.0, below=1.0)] = 1e-3
+    """A pose is the nearest one around when the cosine between its error and every motion left to it is smaller."""
 
 
 @struct.dataclass
@@ -102,6 +104,17 @@ def descend(
 
     state = _begin(problem, within_limit(robot, starts))
     return jax.lax.while_loop(is_unfinished, advance, (jnp.zeros_like(iterations), state))[1]
+
+
+def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Array, "lanes"]:
+    """Whether a lane rests at a constrained minimum: its error is at right angles to every motion left to the joints.
+
+    At the minimum the cosines are 0; those of 1e-3 cost about a millionth of the error (second order).
+    """
+    held = _hold_at_limit(robot, state.vectors, state.residual)
+    gradient = jnp.abs(jnp.sum(held.jacobian * held.error[:, None], axis=0))  # (coordinates, lanes)
+    scale = jnp.sqrt(jnp.sum(state.residual.jacobian**2, axis=0) * state.residual.cost)
+    return jnp.all(gradient <= config.optimality * scale, axis=0)
 
 
 def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 lanes"]) -> Residual:
@@ -175,7 +188,7 @@ def _iterate(problem: _Problem, state: Descent) -> Descent:
     return Descent(
         pick(vectors, state.vectors),
         residual,
-        state.damping * jnp.where(is_better, config.damping_decrease, config.damping_increase),
+        jnp.where(is_better, state.damping * config.damping_decrease, state.damping * config.damping_increase),
         state.steps + state.is_going,
         is_near,
         state.has_stalled | (state.is_going & ~is_near & (moved < config.shortest_step)),

@@ -21,6 +21,9 @@ class Status(enum.IntEnum):
     ITERATION_LIMIT = 2
     OUTSIDE_LIMITS = 3
     """The answer needs a joint beyond its limit."""
+    NEAREST = 4
+    """Out of reach as far as all starts can tell: the answer is the nearest feasible pose found, where no small motion
+    within the limits lowers the weighted squared error of the pose."""
 
 
 @struct.dataclass

@@ -6,6 +6,7 @@ upper plate sits at H(theta) n. Nothing here is singular at theta = 0.
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.geometry.rotations import safe_norm
@@ -61,6 +62,17 @@ def bends_from_angles(direction: Float[Array, "*n"], angle: Float[Array, "*n"]) 
 def bend_from_vector(vector: Float[Array, "2"]) -> Float[Array, "2"]:
     """Bend of a bend vector theta (cos phi, sin phi) [rad]; the normalised sinc keeps it regular at 0."""
     return 0.5 * jnp.sinc(safe_norm(vector) / (2.0 * jnp.pi)) * vector
+
+
+def vectors_from_bends(bends: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
+    """Bend vectors theta (cos phi, sin phi) [rad] of many bends, on the host: the inverse of `bend_from_vector`."""
+    sine = np.linalg.norm(bends, axis=-1, keepdims=True)
+    return bends * np.where(sine < 1e-8, 2.0, angles_of_bends(bends)[..., None] / np.maximum(sine, 1e-8))
+
+
+def angles_of_bends(bends: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    """Bend angles theta [rad] of many bends, on the host; what is 1 or longer counts as 180 degrees."""
+    return np.asarray(2.0 * np.arcsin(np.minimum(np.linalg.norm(bends, axis=-1), 1.0)))
 
 
 def bend_angle(bend: Float[Array, "2"]) -> Float[Array, ""]:
