@@ -8,6 +8,7 @@ import numpy as np
 
 from qjrl.config import as_mapping
 from qjrl.robot import cable_lengths, robot_from_mapping, strand_commands, strand_lengths
+from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
 from qjrl.robot.verbs import Robot
@@ -78,8 +79,8 @@ def settled_effects(robot: Robot, simulation: SettleConfig, bends: np.ndarray) -
         held_tension=np.asarray(_tensions(robot, jnp.asarray(bends), lengths)),
         settled_tension=rest.strand_tension,
         elastic_tension=np.asarray(_tensions(robot, jnp.asarray(rest.bends), lengths)),
-        commanded_angle=_angles(bends),
-        settled_angle=_angles(rest.bends),
+        commanded_angle=angles_of_bends(bends),
+        settled_angle=angles_of_bends(rest.bends),
         converged=rest.converged,
     )
 
@@ -111,7 +112,3 @@ def _lengths(robot: Robot, bends: jax.Array) -> jax.Array:
 @jax.jit
 def _tensions(robot: Robot, bends: jax.Array, lengths: jax.Array) -> jax.Array:
     return jax.vmap(lambda row, commanded: strand_tension(robot, row, commanded))(bends, lengths)
-
-
-def _angles(bends: np.ndarray) -> np.ndarray:
-    return 2.0 * np.arcsin(np.minimum(np.linalg.norm(bends, axis=-1), 1.0))

@@ -29,9 +29,9 @@ def errors_by_measurements(panels: Mapping[str, tuple[Runs, float | None]]) -> F
     for axes, (title, (runs, noise)) in zip(every, panels.items(), strict=True):
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(axis="both")
-        axes.tick_params(length=0)
+        axes.tick_params(which="both", length=0)
         axes.set_xlabel("measurements and corrections")
-        axes.set_title(f"position error [mm], median and 90 %\n{title}")
+        axes.set_title(f"position error [mm], median and 90 %\nmeasurements: {title}")
         _draw(axes, runs, noise)
     logarithmic(every[0], "y")
     every[0].legend()
@@ -47,5 +47,5 @@ def _draw(axes: Axes, runs: Runs, noise: float | None) -> None:
         axes.set_xticks(numbers)
     if noise is not None:
         axes.axhline(1e3 * noise, color=LIGHT["reference"], linewidth=0.8, linestyle=(0, (2, 2)))
-        axes.text(0.99, 1e3 * noise, "noise of one measurement", ha="right", va="top", fontsize=8.0,
+        axes.text(0.01, 0.9e3 * noise, "noise of one measurement", ha="left", va="top", fontsize=8.0,
                   color=LIGHT["reference"], transform=axes.get_yaxis_transform())  # fmt: skip

@@ -15,8 +15,9 @@ from qjrl.analysis.rendering import image_png, render_arm
 from qjrl.analysis.report import Picture, Section
 from qjrl.analysis.report_html import Number
 from qjrl.analysis.training_figures import learning_curves
-from qjrl.geometry.pose import position_error
+from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, forward_kinematics
+from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.verbs import Robot
 
 Arrays = Mapping[str, np.ndarray]
@@ -78,9 +79,9 @@ def sample_section(robot: Robot, data: Arrays) -> Section:
     """
     settled = data["converged"]
     bends, lengths = data["bends"][settled], data["cable_lengths"][settled]
-    deviation = np.asarray(_deviation(robot, jnp.asarray(lengths), jnp.asarray(data["pose"][settled])))
+    deviation, _ = row_errors(_nominal_poses(robot, jnp.asarray(lengths)), data["pose"][settled])
     tension = data["strand_tension"][settled]
-    largest = np.degrees(2.0 * np.arcsin(np.clip(np.linalg.norm(bends, axis=-1).max(axis=1), 0.0, 1.0)))
+    largest = np.degrees(angles_of_bends(bends).max(axis=1))
     numbers = (
         Number("settled rows", int(settled.sum())),
         Number("never settled", int((~settled).sum()), note="left out of training"),
@@ -207,7 +208,7 @@ def warnings_of(outcomes: Sequence[Outcome], num_rows: int = 0, num_unsettled: i
     return tuple(line[0].upper() + line[1:] for line in lines)
 
 
-def _deviation(robot: Robot, lengths: jax.Array, poses: jax.Array) -> jax.Array:
-    """Distance (n,) [m] of settled poses (n, 9) from the nominal closed form."""
-    nominal = jax.jit(jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row))))(lengths)
-    return jax.vmap(position_error)(nominal, poses)
+@jax.jit
+def _nominal_poses(robot: Robot, lengths: jax.Array) -> jax.Array:
+    """Poses (n, 9) of the nominal closed form at cable lengths (n, cables) [m]."""
+    return jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row)))(lengths)

@@ -44,7 +44,12 @@ class SettleResult:
     def motor_force(self) -> np.ndarray:
         """(n, cables) force that each motor holds [N]: the difference of its loop's two strands, to compare with the bound
         `motors.force`. The physics does not clip it: a pose that needs more is one that the real arm does not reach."""
-        return self.strand_tension[:, 0::2] - self.strand_tension[:, 1::2]
+        return motor_force(self.strand_tension)
+
+
+def motor_force(strand_tension: np.ndarray) -> np.ndarray:
+    """Difference (n, cables) [N] of each loop's two strands, from the tensions of all strands (n, strands) [N]."""
+    return strand_tension[:, 0::2] - strand_tension[:, 1::2]
 
 
 def settle(

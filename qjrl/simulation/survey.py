@@ -8,14 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, strand_lengths
+from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube, planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import SLACK_TENSION
+from qjrl.simulation.settling import SLACK_TENSION, motor_force
 
 # Poses of the closed form for reach and strand stretch; cheap, so many.
 _NUM_KINEMATIC = 20_000
@@ -73,18 +74,15 @@ def survey_physics(
     nominal = jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row)))(
         jnp.asarray(rows["cable_lengths"][settled])
     )
-    position = np.asarray(jax.vmap(position_error)(nominal, jnp.asarray(rows["pose"][settled])))
-    orientation = np.asarray(jax.vmap(orientation_error)(nominal, jnp.asarray(rows["pose"][settled])))
-    force = np.abs(tension[:, 0::2] - tension[:, 1::2])
-    bends = rows["bends"][settled]
+    position, orientation = row_errors(nominal, rows["pose"][settled])
     return {
         "settled_share": float(settled.mean()),
         "tension": [float(tension.min()), float(np.median(tension)), float(tension.max())],
         "slack_share": float((tension < SLACK_TENSION).mean()),
-        "largest_motor_force": float(force.max()),
+        "largest_motor_force": float(np.abs(motor_force(tension)).max()),
         "off_nominal": [float(np.median(position)), float(np.percentile(position, 90)), float(position.max())],
         "off_nominal_angle": [float(np.median(orientation)), float(orientation.max())],
-        "largest_bend_deg": float(np.degrees(2.0 * np.arcsin(np.linalg.norm(bends, axis=-1).max()))),
+        "largest_bend_deg": float(np.degrees(angles_of_bends(rows["bends"][settled]).max())),
     }
 
 
