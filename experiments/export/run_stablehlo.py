@@ -16,7 +16,7 @@ for name in ("forward_model", "inverse_kinematics"):
     content = (folder / f"{name}.stablehlo").read_bytes()
     expected = contract["functions"][name]["files"][f"{name}.stablehlo"]["sha256"]
     assert hashlib.sha256(content).hexdigest() == expected, f"{name}.stablehlo: another file"
-    loaded[name] = jax.export.deserialize(bytearray(content)).call
+    loaded[name] = jax.jit(jax.export.deserialize(bytearray(content)).call)
 
 strokes = np.array([cable["high"] for cable in contract["cables"]], contract["precision"])
 lengths = 0.2 * strokes * np.linspace(-1.0, 1.0, 7, dtype=strokes.dtype)[:, None]  # seven commands [m]

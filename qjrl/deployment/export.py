@@ -25,7 +25,15 @@ from qjrl.deployment.functions import (
     in_precision,
     inverse_function,
 )
-from qjrl.deployment.parity import LoadedFunction, ParityConfig, check_forward, check_inverse, make_reference
+from qjrl.deployment.latency import measure_latency
+from qjrl.deployment.parity import (
+    LoadedFunction,
+    ParityConfig,
+    Reference,
+    check_forward,
+    check_inverse,
+    make_reference,
+)
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.model_fitting import pose_errors, split_rows
 from qjrl.robot.verbs import Robot
@@ -61,7 +69,7 @@ class Export:
     functions: dict[str, dict[str, Any]]
     """Their part of the contract."""
     metrics: dict[str, Any]
-    """Parity and accuracy."""
+    """Parity, accuracy, latency."""
 
 
 def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
@@ -121,7 +129,12 @@ def export_controller(
         forward.name: _described(forward, config, {name: files[name] for name in files if name != INVERSE_FILE}),
         inverse.name: _described(inverse, config, {INVERSE_FILE: files[INVERSE_FILE]}),
     }
-    return Export(files, functions, {"parity": checks, "accuracy": _accuracy(calls[FORWARD_FILE], held_out, config)})
+    metrics = {
+        "parity": checks,
+        "accuracy": _accuracy(calls[FORWARD_FILE], held_out, config),
+        "latency": _latency(calls, reference),
+    }
+    return Export(files, functions, metrics)
 
 
 def write_export(export: Export, robot: Robot, precision: Precision, provenance: Mapping[str, Any], out: Path) -> None:
@@ -157,6 +170,12 @@ def _accuracy(call: LoadedFunction, held_out: Mapping[str, np.ndarray], config: 
     """Errors of the exported forward model on all held-out rows."""
     poses = np.asarray(call(held_out["cable_lengths"].astype(config.precision))["pose"], np.float64)
     return {"held_out_rows": len(poses), **pose_errors(poses, held_out["pose"])}
+
+
+def _latency(calls: Mapping[str, LoadedFunction], reference: Reference) -> dict[str, dict[str, float]]:
+    """Of every file, for one row at a time."""
+    rows = {name: reference.targets if name == INVERSE_FILE else reference.lengths for name in calls}
+    return {name: measure_latency(call, rows[name][0].astype(reference.precision)) for name, call in calls.items()}
 
 
 def _makes_onnx(config: ExportConfig) -> bool:

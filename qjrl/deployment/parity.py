@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.geometry.pose import orientation_error, position_error
+from qjrl.geometry.pose import row_errors
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths
@@ -94,7 +94,7 @@ def check_forward(file: str, call: LoadedFunction, reference: Reference) -> Repo
         ParityError: a difference beyond the tolerance, or a number that is not finite.
     """
     poses, config = _host(call(reference.lengths.astype(reference.precision)))["pose"], reference.config
-    position, orientation = _pose_errors(poses, reference.poses)
+    position, orientation = row_errors(poses, reference.poses)
     return {
         name: {
             "rows": rows.stop - rows.start,
@@ -120,7 +120,7 @@ def check_inverse(file: str, call: LoadedFunction, solve: LoadedFunction, refere
     targets, config = reference.targets.astype(reference.precision), reference.config
     found, expected = _host(call(targets)), _host(solve(targets))
     reached = np.asarray(reference.live(found["cable_lengths"]))
-    position, orientation = _pose_errors(reached, reference.targets)
+    position, orientation = row_errors(reached, reference.targets)
     position, orientation = found["position_error"] - position, found["orientation_error"] - orientation
     beyond = _beyond_limit(reference.robot, found["cable_lengths"])
     is_same = np.max(np.abs(found["cable_lengths"] - expected["cable_lengths"]), axis=1) < _SAME_LENGTH
@@ -163,16 +163,6 @@ def _host(outputs: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Arrays on the host, numbers in float64."""
     arrays = {name: np.asarray(array) for name, array in outputs.items()}
     return {name: array if array.dtype == bool else array.astype(np.float64) for name, array in arrays.items()}
-
-
-def _pose_errors(poses: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    position, orientation = _compiled_errors()(poses, others)
-    return np.asarray(position), np.asarray(orientation)
-
-
-@functools.cache
-def _compiled_errors() -> Callable[..., tuple[jax.Array, jax.Array]]:
-    return jax.jit(jax.vmap(lambda one, other: (position_error(one, other), orientation_error(one, other))))
 
 
 def _beyond_limit(robot: Robot, lengths: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ def serialise(deployed: DeployedFunction, precision: Precision, platforms: tuple
 
 def load(content: bytes) -> Callable[[Any], dict[str, jax.Array]]:
     """The function in a file, as a user of the file gets it."""
-    call: Any = export.deserialize(bytearray(content)).call  # typed as if every function returned one array
+    call: Any = jax.jit(export.deserialize(bytearray(content)).call)  # typed as if every function returned one array
     return call
 
 

@@ -20,7 +20,7 @@ from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, make_netw
 
 HASH = robot_hash(ARM)
 CONFIG = ExportConfig(
-    onnx=False, ik=CompactIKConfig(num_candidates=256, num_starts=2, iterations=8), parity=ParityConfig(num_random=32)
+    onnx=False, ik=CompactIKConfig(num_candidates=256, num_starts=2), parity=ParityConfig(num_random=32)
 )
 
 

@@ -92,7 +92,7 @@ def test_the_inverse_in_a_file_reaches_its_targets_and_flags_what_it_cannot(expo
     distance = np.linalg.norm(live_poses(answer["cable_lengths"])[:, :3] - targets[:, :3], axis=1)
     np.testing.assert_allclose(answer["position_error"], distance, atol=2e-6)
     assert answer["converged"].tolist() == [True, True, True, True, True, False, False][:batch]
-    assert distance[answer["converged"]].max() < CONFIG.ik.position_tolerance
+    assert distance[answer["converged"]].max() < CONFIG.ik.descent.position_tolerance
 
 
 def test_files_run_on_both_platforms_in_one_precision_and_name_no_folder(exported):
@@ -138,6 +138,8 @@ def test_parity_and_accuracy_are_reported_for_every_file(exported, contract):
     for file in ("forward_model.stablehlo", "forward_model.onnx"):
         assert metrics["parity"][file]["random"]["rows"] == 32
         assert 0.0 < metrics["parity"][file]["held_out"]["position_difference"] < 3e-6
+    assert metrics["latency"].keys() == metrics["parity"].keys()
+    assert all(0.0 < one["median_ms"] <= one["p99_ms"] for one in metrics["latency"].values())
     assert metrics["accuracy"]["held_out_rows"] == metrics["parity"]["forward_model.onnx"]["held_out"]["rows"]
 
 
