@@ -42,7 +42,7 @@ constraints: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
 	printf '# The versions that are tested. Renewed by: make constraints\n' > constraints.txt.new
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.12 --no-emit-index-url --no-annotate --no-header \
-	  --extra cluster --extra dev pyproject.toml >> constraints.txt.new
+	  --extra bench --extra cluster --extra dev pyproject.toml >> constraints.txt.new
 	mv constraints.txt.new constraints.txt
 
 clean:
