@@ -104,6 +104,7 @@ STAGES: dict[str, Stage] = {
         default=False,
     ),
     "pretension": Stage("qjrl.stages.pretension", "find the least pretension", writes="pretension", default=False),
+    "track": Stage("qjrl.stages.track", "follow a path of poses in the physics", ("forward_model",), "track", False),
     "workspace": Stage(
         "qjrl.stages.workspace", "measure and compare what the tips of arms reach", writes="workspace", default=False
     ),
@@ -250,7 +251,7 @@ def _identity(name: str, config: Any, run_dir: Path) -> dict[str, Any]:
     """What the output of a stage depends on."""
     robot_hash, inputs = _robot_hash(config), _inputs(STAGES[name], run_dir)
     return {
-        "config_hash": artifacts.hash_of(as_mapping(config)),
+        "config_hash": artifacts.hash_of(as_mapping(config) | getattr(config, "files", {})),
         "robot_hash": robot_hash,
         "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
     }

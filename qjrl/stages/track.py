@@ -1,0 +1,166 @@
+"""Stage `track`: a path of poses becomes a cable trajectory, which is played in the physics."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from qjrl import artifacts, progress
+from qjrl.analysis.canvas import save_png
+from qjrl.analysis.report import write_report
+from qjrl.analysis.tables import as_text
+from qjrl.analysis.track_figures import track_pictures
+from qjrl.analysis.track_report import headline, track_report
+from qjrl.analysis.track_viewer import track_viewer
+from qjrl.analysis.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
+from qjrl.control.paths import make_path, path_file
+from qjrl.control.track_run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
+from qjrl.control.tracking import TrackConfig
+from qjrl.control.trajectory import least_duration
+from qjrl.robot import robot_from_mapping
+from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.settle_problem import SettleConfig
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    track: TrackConfig
+    seed: int
+
+    def __post_init__(self):
+        make_path(self.track.path, self.track.shape)  # a file that is no path is refused before any work
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Files that the stage reads beside its inputs, and their hashes."""
+        file = path_file(self.track.path)
+        return {} if file is None else {str(file): artifacts.hash_of_file(file)}
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `trajectory.npz`, figures and `track.html`; the table goes to the log."""
+    robot, settings = robot_from_mapping(config.robot), config.track
+    model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
+    with progress.compiling("the inverse kinematics of a whole path"):
+        plan = make_plan(robot, model, config.simulation, settings, config.seed)
+        nominal = nominal_plan(robot, plan, settings, config.seed)
+    with progress.track(num_periods(settings, plan), "playing") as advance:
+        judged = perform(robot, config.simulation, settings, plan, nominal, advance)
+    tracked = {name: _tracked(one) for name, one in judged.items()}
+    metrics = _metrics(robot, settings, plan, tracked)
+    drawn = track_pictures(
+        _positions(plan, judged["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
+    )
+    animation = track_viewer(robot, *_movie(judged["planned"]), plan.path.pose[:, :3])
+    for name, (figure, _) in drawn.items():
+        save_png(figure, out / f"{name}.png", dpi=110)
+    artifacts.write_arrays(out / "trajectory.npz", _columns(settings, plan, judged["planned"]))
+    artifacts.write_json(out / "metrics.json", metrics)
+    page = track_report(
+        f"Path {settings.path} on {robot.name}",
+        metrics,
+        settings.accepted_error,
+        animation,
+        drawn,
+        artifacts.load(out / artifacts.PROVENANCE),
+    )
+    write_report(out / "track.html", page)
+    log.info("%s", as_text(tracking_table(metrics["played"])))
+    log.info("%s", headline(metrics, settings.accepted_error))
+
+
+def _tracked(one: Judged) -> Tracked:
+    """What counts of a performance: from the plan's begin to its end."""
+    moving, errors, played = one.is_moving, one.errors, one.played
+    return Tracked(
+        one.performance.trajectory.speed,
+        one.performance.lead,
+        played.time[moving],
+        errors.position[moving],
+        errors.across[moving],
+        errors.along[moving],
+        errors.orientation[moving],
+        errors.speed[moving],
+        played.strand_tension[moving],
+        played.motor_force[moving],
+        played.is_finite,
+    )
+
+
+def _metrics(robot: Robot, settings: TrackConfig, plan: Plan, tracked: dict[str, Tracked]) -> dict:
+    trajectory, rest = plan.trajectory, plan.rest.rest
+    commands = trajectory.at(command_times(trajectory, settings.period))
+    ends = plan.cables.lengths(np.array([0.0, plan.path.length]))
+    return {
+        "plan": {
+            "path": settings.path,
+            "counts": plan.path.constraint,
+            "num_waypoints": len(plan.path.distance),
+            "length_m": plan.path.length,
+            "is_closed": plan.path.is_closed,
+            "speed": trajectory.speed,
+            "duration_s": trajectory.duration,
+            "quickest_s": trajectory.quickest,
+            "least_s": least_duration(plan.cables.lengths, float(robot.motor_speed)),
+            "model_position_max_mm": 1e3 * float(plan.model_error[0].max()),
+            "model_orientation_max_deg": float(np.degrees(plan.model_error[1].max())),
+            "cables_change_end_to_end_mm": 1e3 * float(np.abs(ends[1] - ends[0]).max()),
+            **command_metrics(commands, settings.period, _bounds(robot, settings)),
+        },
+        "at_rest": {
+            **position_metrics(*plan.rest_error),
+            "tension_min_N": float(rest.strand_tension.min()),
+            "tension_max_N": float(rest.strand_tension.max()),
+            "motor_force_max_N": float(np.abs(rest.motor_force).max()),
+        },
+        "played": {name: tracked_metrics(one) for name, one in tracked.items()},
+    }
+
+
+def _bounds(robot: Robot, settings: TrackConfig) -> tuple[float, float, float]:
+    return float(robot.motor_speed), settings.limits.acceleration, settings.limits.jerk
+
+
+def _positions(plan: Plan, main: Judged) -> tuple[np.ndarray, np.ndarray]:
+    """Where the tip should be and where it was, while the plan moves."""
+    times, poses = main.played.time[main.is_moving], main.played.pose[main.is_moving]
+    return plan.path.at(plan.trajectory.distances(times))[:, :3], poses[:, :3]
+
+
+def _cables(plan: Plan) -> tuple[np.ndarray, ...]:
+    """Times, and speed, acceleration and jerk of the cables then."""
+    times = np.linspace(0.0, plan.trajectory.duration, 1000)
+    return times, *plan.trajectory.derivatives(times)
+
+
+def _cable_names(robot: Robot) -> list[str]:
+    return [f"cable {number}" for pair in robot.config.cables.names for number in pair]
+
+
+def _movie(main: Judged) -> tuple[np.ndarray, np.ndarray]:
+    """Times and joint positions of the animation: the plan and what comes right after it."""
+    shown = main.played.time >= 0.0
+    return main.played.time[shown], main.played.joint_positions[shown]
+
+
+def _columns(settings: TrackConfig, plan: Plan, main: Judged) -> dict[str, np.ndarray]:
+    times, trajectory, played = command_times(plan.trajectory, settings.period), plan.trajectory, main.played
+    return {
+        "time": times,
+        "cable_lengths": trajectory.at(times),
+        "planned_pose": plan.path.at(trajectory.distances(times)),
+        "lead": np.array(main.performance.lead),
+        "played_time": played.time,
+        "played_command": played.command,
+        "played_pose": played.pose,
+        "played_joint_positions": played.joint_positions,
+        "played_strand_tension": played.strand_tension,
+        "position_error": main.errors.position,
+        "orientation_error": main.errors.orientation,
+    }
