@@ -1,53 +1,17 @@
-"""The data flow on one page: which stages there are, what each reads and writes, and when one runs again.
+"""The data flow on one page: which stages there are, what each reads and writes.
 
     sample ──> forward_model ──> ik ──> policy ──> compare
 
-A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
-``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
-
-Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
-`parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
-a directory, a lock and a done-marker of its own in ``WRITES.parts/PART``; the whole is made of them when all are there.
+What a stage is, and when one runs again: `stage`.
 """
 
 import dataclasses
-import fcntl
-import importlib
-import logging
-import shutil
-import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
-from qjrl import artifacts
-from qjrl.artifacts import ArtifactError
-from qjrl.config import ConfigError, as_mapping, build, known_names, unknown_key
-from qjrl.provenance import provenance
-
-log = logging.getLogger(__name__)
-
-
-@dataclasses.dataclass(frozen=True)
-class Stage:
-    """One step of the data flow; its module is imported when it is first needed."""
-
-    module: str
-    summary: str
-    """What it does, for ``qjrl --help``."""
-    reads: tuple[str, ...] = ()
-    """Names of the stages whose directories it reads."""
-    writes: str = ""
-    """Name of its directory under the run directory."""
-    default: bool = True
-    """Whether it runs when no stages are asked for."""
-
-    def load(self) -> ModuleType:
-        """The stage's module: `Config` and `run`."""
-        return importlib.import_module(self.module)
-
+from qjrl.config import ConfigError, build, known_names, unknown_key
+from qjrl.stage import Stage, alone_in, robot_hash_of, run_part, run_stage
 
 STAGES: dict[str, Stage] = {
     "sample": Stage("qjrl.stages.sample", "settle cable commands in MuJoCo and write the data set", writes="dataset"),
@@ -165,11 +129,16 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
     ordered = in_order(names)
     shared = [name for name in ordered if getattr(configs[name], "part", None) is not None]
     if shared:
-        return _run_part(shared[0], configs[shared[0]], ordered, run_dir)
-    with _alone_in(run_dir):
+        if ordered != shared:
+            only = configs[shared[0]].part
+            raise ConfigError(
+                f"stages: got [{','.join(ordered)}], allowed: [{shared[0]}] alone to make part {only} of it"
+            )
+        return run_part(STAGES, shared[0], configs[shared[0]], run_dir)
+    with alone_in(run_dir):
         for name in ordered:
             config = configs[name]
-            _run_stage(name, config.whole() if hasattr(config, "whole") else config, run_dir)
+            run_stage(STAGES, name, config.whole() if hasattr(config, "whole") else config, run_dir)
 
 
 def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
@@ -187,114 +156,9 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
             raise unknown_key(key, tree[key], sorted(known))
     configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
     for config in configs.values():
-        _robot_hash(config)
+        robot_hash_of(config)
     return configs
-
-
-@contextmanager
-def _alone_in(run_dir: Path, name: str = ".lock", wait: bool = False) -> Iterator[None]:
-    """Two runs in one directory would move each other's output away."""
-    run_dir.mkdir(parents=True, exist_ok=True)
-    with open(run_dir / name, "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError as error:
-            raise ArtifactError(
-                f"{run_dir}: another run is at work here; wait for it or choose another name="
-            ) from error
-        yield
 
 
 def _part(tree: Mapping[str, Any], kind: type) -> dict[str, Any]:
     return {field.name: tree[field.name] for field in dataclasses.fields(kind) if field.name in tree}
-
-
-def _run_part(name: str, config: Any, stages: list[str], run_dir: Path) -> None:
-    """One process's share of a stage; the process that ends last makes the whole of all shares."""
-    if stages != [name]:
-        raise ConfigError(f"stages: got [{','.join(stages)}], allowed: [{name}] alone to make part {config.part} of it")
-    out = run_dir / STAGES[name].writes
-    if _same(out / artifacts.DONE, _identity(name, config.whole(), run_dir)):
-        log.info("%s: done before and unchanged, skipped", name)
-        return
-    parts = artifacts.parts_of(out)
-    with _alone_in(parts, f".{config.part}.lock"):
-        _run_stage(name, config, run_dir)
-    every = config.parts().items()
-    if all(_same(parts / part / artifacts.DONE, _identity(name, other, run_dir)) for part, other in every):
-        with _alone_in(run_dir, wait=True):  # of two that end at once, the second finds it done
-            _run_stage(name, config.whole(), run_dir)
-
-
-def _run_stage(name: str, config: Any, run_dir: Path) -> None:
-    stage, out = STAGES[name], run_dir / STAGES[name].writes
-    part, robot_hash = getattr(config, "part", None), _robot_hash(config)
-    identity = _identity(name, config, run_dir)
-    if part is not None:
-        name, out = f"{name} {part}", artifacts.parts_of(out) / part
-    if _same(out / artifacts.DONE, identity):
-        log.info("%s: done before and unchanged, skipped", name)
-        return
-    _make_room(name, out, identity)
-    record = provenance(as_mapping(config), getattr(config, "seed", None), robot_hash)
-    artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
-    start = time.monotonic()
-    stage.load().run(config, _inputs(stage, run_dir), out)
-    artifacts.mark_done(out, **identity, seconds=round(time.monotonic() - start, 1))
-
-
-def _inputs(stage: Stage, run_dir: Path) -> dict[str, Path]:
-    return {source: run_dir / STAGES[source].writes for source in stage.reads}
-
-
-def _identity(name: str, config: Any, run_dir: Path) -> dict[str, Any]:
-    """What the output of a stage depends on."""
-    robot_hash, inputs = _robot_hash(config), _inputs(STAGES[name], run_dir)
-    return {
-        "config_hash": artifacts.hash_of(as_mapping(config) | getattr(config, "files", {})),
-        "robot_hash": robot_hash,
-        "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
-    }
-
-
-def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:
-    """Identity of a finished input, or one line that says how to get it."""
-    marker = artifacts.done_marker(directory)
-    if marker is None:
-        state = "is not finished" if directory.exists() else "does not exist"
-        raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{source},{name}]")
-    if robot_hash is not None and marker.get("robot_hash") not in (None, robot_hash):
-        raise ArtifactError(f"{name}: {directory} belongs to another robot; run stages=[{source},{name}]")
-    return marker["output_hash"]
-
-
-def _make_room(name: str, out: Path, identity: Mapping[str, Any]) -> None:
-    """An interrupted run of the same identity goes on in its directory; anything else is moved out of the way."""
-    if not out.exists() or not any(out.iterdir()):
-        log.info("%s: starts", name)
-    elif _same(out / artifacts.PROVENANCE, identity) and not (out / artifacts.DONE).exists():
-        log.info("%s: was interrupted, goes on", name)
-    else:
-        previous = out.with_name(out.name + ".previous")
-        shutil.rmtree(previous, ignore_errors=True)
-        out.rename(previous)
-        log.info("%s: configuration or inputs changed, starts afresh (the old output is in %s)", name, previous.name)
-    out.mkdir(parents=True, exist_ok=True)
-
-
-def _same(record: Path, identity: Mapping[str, Any]) -> bool:
-    if not record.exists():
-        return False
-    content = artifacts.load(record)
-    return all(content.get(key) == value for key, value in identity.items())
-
-
-def _robot_hash(config: Any) -> str | None:
-    """Of the robot a stage works on; a stage that names its robots itself says what they are by `robot_hash`."""
-    if hasattr(config, "robot_hash"):
-        return config.robot_hash
-    if not hasattr(config, "robot"):
-        return None
-    from qjrl.robot import robot_from_mapping, robot_hash
-
-    return robot_hash(robot_from_mapping(config.robot))
