@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
+from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
+
 with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where that is not installed
     from mujoco import mjx
 
@@ -20,9 +22,6 @@ __all__ = ["ArmState", "MjxArm", "Rows", "compile_batch", "load_arm", "mjx", "si
 # of them: few of both. Equality rows alone take one; with friction of 3 N one joint ends 0.35 mm from C after 3, 0.03 after 12.
 SOLVER_ITERATIONS, FRICTION_ITERATIONS, SOLVER_TOLERANCE = 3, 12, 1e-6
 LINE_SEARCH_ITERATIONS = 12
-# On a CPU, XLA fuses the chain of bodies so that every link computes all links before it again, its time doubling with
-# each: 8 joints' kinematics took 100 s to compile and 4 s to run a row; without fusion 12 s and 0.3 ms.
-CPU_COMPILER_OPTIONS = {"xla_disable_hlo_passes": "fusion"}
 # Dry friction as hard as in C (0.9999) is beyond float32: at rest the solver now and then throws an arm at up to 2.5 rad/s.
 # Measured on one joint with friction up to 3 N: with 0.999 at most 0.03 rad/s, and 0.1 mm of creep in 1.2 s; C: 5e-5 rad/s.
 FRICTION_IMPEDANCE = 0.999

@@ -21,6 +21,8 @@ from qjrl.robot.quaternion_arm.naming import joint_labels, leader, segment_of, s
 # Inertia of the slide [kg]. A height row is soft in proportion to its inverse: at 1 kg the tip rests 0.03 mm below the
 # minimum of the potential energy, at 10 kg 0.005 mm. Small against the hinges' while dH/dtheta stays below 5 mm/rad.
 SLIDE_ARMATURE = 10.0
+# Radius of a joint's limbs, taken together, relative to the link's; of the ball that is a payload [m].
+CHORD_RADIUS, PAYLOAD_RADIUS = 0.3, 0.01
 # MuJoCo's default friction rows creep; these stick (measured: path dependence of the tip stays after the motion ends).
 STICKING = {"solreffriction": "0.008 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
 
@@ -105,7 +107,7 @@ def _add_bodies(root: ElementTree.Element, arm: QuaternionArm, options: SolverOp
     add_element(parent, "site", name="tip", pos=tip, size=(0.006,), rgba="0.9 0.2 0.2 1")
     payload = arm.config.mechanics.payload
     if payload > 0.0:
-        look = {"size": (0.01,), "rgba": "0.9 0.5 0.1 1"}
+        look = {"size": (PAYLOAD_RADIUS,), "rgba": "0.9 0.5 0.1 1"}
         add_element(parent, "geom", name="payload", type="sphere", mass=payload, pos=tip, **look)
 
 
@@ -125,7 +127,7 @@ def _add_joint(
     chord = add_element(parent, "body", name=f"chord_{label}", pos=(0.0, 0.0, plate_height))
     add_element(chord, "joint", name=f"lower_x_{label}", axis="1 0 0", **hinge)
     add_element(chord, "joint", name=f"lower_y_{label}", axis="0 1 0", **hinge)
-    look = {"size": (0.3 * mechanics.link_radius,), "rgba": "0.75 0.6 0.3 1"}
+    look = {"size": (CHORD_RADIUS * mechanics.link_radius,), "rgba": "0.75 0.6 0.3 1"}
     along = (0.0, 0.0, 0.0, 0.0, 0.0, home_height)
     add_element(chord, "geom", type="capsule", mass=mechanics.joint_mass, fromto=along, **look)
     link = add_element(chord, "body", name=f"link_{label}", pos=(0.0, 0.0, home_height))

@@ -1,0 +1,34 @@
+"""Small symmetric systems, many at once: components first and lanes last, written out instead of one LAPACK call each."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+
+def factor(matrix: Any) -> list[list[jax.Array]]:
+    """Rows of L with L L^T = matrix, positive definite, of which the lower triangle counts; the diagonal holds 1 / L_jj.
+
+    Args:
+        matrix: entries [i][j], each (*lanes).
+    """
+    size = len(matrix)
+    lower = [[jnp.zeros_like(matrix[0][0])] * (row + 1) for row in range(size)]
+    for j in range(size):
+        inverse = jax.lax.rsqrt(matrix[j][j] - sum(lower[j][k] ** 2 for k in range(j)))
+        lower[j][j] = inverse
+        for i in range(j + 1, size):
+            lower[i][j] = (matrix[i][j] - sum(lower[i][k] * lower[j][k] for k in range(j))) * inverse
+    return lower
+
+
+def solve(lower: list[list[jax.Array]], right: jax.Array) -> jax.Array:
+    """x (n, ..., *lanes) with L L^T x = right, L as `factor` gives it."""
+    size = len(right)
+    forward: list[jax.Array] = []
+    for i in range(size):
+        forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) * lower[i][i])
+    back = [right[0]] * size
+    for i in reversed(range(size)):
+        back[i] = (forward[i] - sum(lower[k][i] * back[k] for k in range(i + 1, size))) * lower[i][i]
+    return jnp.stack(back)
