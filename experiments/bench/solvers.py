@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.analysis.solver_protocol import CaseConfig, draw_targets
+from qjrl.analysis.solvers.protocol import CaseConfig, draw_targets
 from qjrl.provenance import provenance
 from qjrl.robot import forward_kinematics, load_robot
 from qjrl.robot.quaternion_arm.differential import tip_of

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy import stats
 
-from qjrl.analysis.outcomes import Outcome, controller_label, target_set_label
+from qjrl.analysis.controllers.outcomes import Outcome, controller_label, target_set_label
 from qjrl.analysis.tables import Column, Table
 
 ALLOWED_RATIO = 1.1

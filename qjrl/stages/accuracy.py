@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis import corrections
 from qjrl.analysis.canvas import save_png
-from qjrl.analysis.feedback_figures import errors_by_measurements
+from qjrl.analysis.controllers import corrections
+from qjrl.analysis.controllers.feedback_figures import errors_by_measurements
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.accuracy import AccuracyConfig, judge_accuracy
 from qjrl.control.feedback import Corrected

@@ -8,8 +8,8 @@ import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.analysis import metrics as measures
-from qjrl.analysis import sections
-from qjrl.analysis.outcomes import Outcome, controller_label
+from qjrl.analysis.controllers import sections
+from qjrl.analysis.controllers.outcomes import Outcome, controller_label
 from qjrl.analysis.report import Report, write_report
 from qjrl.analysis.report_html import Number
 from qjrl.analysis.tables import as_text

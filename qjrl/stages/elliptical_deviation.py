@@ -5,9 +5,8 @@ import logging
 from pathlib import Path
 
 from qjrl import artifacts, progress
-from qjrl.analysis import deviation_figures as figures
-from qjrl.analysis import deviation_study as study
 from qjrl.analysis.canvas import save_png
+from qjrl.analysis.deviation import figures, study
 from qjrl.analysis.tables import as_text
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig

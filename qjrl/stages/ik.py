@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from qjrl import artifacts, progress
-from qjrl.analysis.answers import outcomes_of_answers, predicted_errors
+from qjrl.analysis.controllers.answers import outcomes_of_answers, predicted_errors
 from qjrl.analysis.metrics import metrics_of
 from qjrl.control.inversion import BANK_SEED, HELD_OUT_SEED, IKConfig, settle_answers, solve_both_sets
 from qjrl.control.targets import TARGET_SETS

@@ -5,10 +5,10 @@ import logging
 from pathlib import Path
 
 from qjrl import artifacts
-from qjrl.analysis import model_figures as figures
 from qjrl.analysis.canvas import save_png
-from qjrl.analysis.model_study import ModelStudyConfig, run_study
-from qjrl.analysis.model_table import study_table
+from qjrl.analysis.forward_models import figures
+from qjrl.analysis.forward_models.study import ModelStudyConfig, run_study
+from qjrl.analysis.forward_models.table import study_table
 from qjrl.analysis.tables import as_text
 from qjrl.robot import robot_from_mapping, robot_hash
 

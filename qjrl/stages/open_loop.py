@@ -9,10 +9,10 @@ import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.analysis import metrics as measures
-from qjrl.analysis.answers import outcome_at_rest
 from qjrl.analysis.canvas import save_png
-from qjrl.analysis.error_figures import cumulative_errors
-from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.controllers.answers import outcome_at_rest
+from qjrl.analysis.controllers.error_figures import cumulative_errors
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.tables import as_text
 from qjrl.control.inversion import IKConfig
 from qjrl.control.open_loop import OpenLoopConfig, OpenLoopRun, run_open_loop

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis import pretension_report as report
-from qjrl.analysis import tension_maps as maps
 from qjrl.analysis.canvas import save_png
+from qjrl.analysis.pretension import maps, report
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
 from qjrl.control import pretension as search

@@ -5,10 +5,9 @@ import logging
 from pathlib import Path
 
 from qjrl import artifacts, progress
-from qjrl.analysis import solver_figures as figures
-from qjrl.analysis import solver_protocol as protocol
 from qjrl.analysis.canvas import save_png
-from qjrl.analysis.solver_table import metrics_of, solver_table
+from qjrl.analysis.solvers import figures, protocol
+from qjrl.analysis.solvers.table import metrics_of, solver_table
 from qjrl.analysis.tables import as_text
 from qjrl.robot import load_robot
 

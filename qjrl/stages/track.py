@@ -10,10 +10,10 @@ from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
-from qjrl.analysis.track_figures import track_pictures
-from qjrl.analysis.track_report import headline, track_report
-from qjrl.analysis.track_viewer import track_viewer
-from qjrl.analysis.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
+from qjrl.analysis.tracking.figures import track_pictures
+from qjrl.analysis.tracking.report import headline, track_report
+from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
+from qjrl.analysis.tracking.viewer import track_viewer
 from qjrl.control.paths import make_path, path_file
 from qjrl.control.track_run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking import TrackConfig

@@ -3,14 +3,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from qjrl.analysis.corrections import (
+from qjrl.analysis.controllers.corrections import (
     MEDIAN_OF_THREE_NORMALS,
     corrections_metrics,
     corrections_table,
     noise_floor,
     ratios,
 )
-from qjrl.analysis.feedback_figures import errors_by_measurements
+from qjrl.analysis.controllers.feedback_figures import errors_by_measurements
 from qjrl.analysis.tables import as_markdown
 
 

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from qjrl.analysis.dexterity import DexterityGrid, OrientationBins, dexterity, mean_over_volume, orientation_bin
-from qjrl.analysis.occupancy import RingGrid
+from qjrl.analysis.workspace.dexterity import (
+    DexterityGrid,
+    OrientationBins,
+    dexterity,
+    mean_over_volume,
+    orientation_bin,
+)
+from qjrl.analysis.workspace.occupancy import RingGrid
 
 BINS = OrientationBins(tilts=4, azimuths=6, spins=5)
 GRID = DexterityGrid(RingGrid(0.1, 2), BINS)

@@ -8,15 +8,7 @@ import pytest
 from arms import over_rows, random_bends
 
 from qjrl import artifacts, pipeline
-from qjrl.analysis.deviation_effects import (
-    arm_with_joint,
-    draw_limited_bends,
-    effects_on_arm,
-    home_height,
-    strand_tension,
-)
-from qjrl.analysis.deviation_study import AS_DESCRIBED, DeviationConfig, JointVariant
-from qjrl.analysis.elliptical_deviation import (
+from qjrl.analysis.deviation.closed_form import (
     cancelling_offset,
     crossed_link_length,
     deviation,
@@ -24,6 +16,14 @@ from qjrl.analysis.elliptical_deviation import (
     is_as_described,
     low_error_end,
 )
+from qjrl.analysis.deviation.effects import (
+    arm_with_joint,
+    draw_limited_bends,
+    effects_on_arm,
+    home_height,
+    strand_tension,
+)
+from qjrl.analysis.deviation.study import AS_DESCRIBED, DeviationConfig, JointVariant
 from qjrl.config import as_mapping, conf_folder, read_yaml
 from qjrl.robot import cable_lengths, forward_kinematics, load_robot
 from qjrl.simulation import SettleConfig

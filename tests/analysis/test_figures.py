@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from qjrl.analysis import canvas, error_figures, strand_figures, training_figures
+from qjrl.analysis import canvas
 from qjrl.analysis.arm_drawing import FRONT, draw_arm, oblique
 from qjrl.analysis.arm_mesh import arm_mesh, cylinder
-from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.controllers import error_figures, strand_figures, training_figures
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.palette import DARK, LIGHT, SERIES, series_colour
 from qjrl.robot import forward_kinematics, load_robot
 

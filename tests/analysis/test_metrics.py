@@ -3,8 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.metrics import error_table, judge_residual, median_interval, metrics_of, summarise, tension_table
-from qjrl.analysis.outcomes import Outcome
 from qjrl.analysis.tables import Column, Table, as_text
 
 

@@ -5,11 +5,11 @@ import pytest
 from settled import ARM, settled_rows
 
 from qjrl import artifacts
-from qjrl.analysis import model_figures as figures
 from qjrl.analysis.canvas import as_png
-from qjrl.analysis.model_latency import LatencyConfig, measure_latency
-from qjrl.analysis.model_study import ModelStudyConfig, make_plan, run_study
-from qjrl.analysis.model_table import study_table
+from qjrl.analysis.forward_models import figures
+from qjrl.analysis.forward_models.latency import LatencyConfig, measure_latency
+from qjrl.analysis.forward_models.study import ModelStudyConfig, make_plan, run_study
+from qjrl.analysis.forward_models.table import study_table
 from qjrl.analysis.tables import as_text
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig

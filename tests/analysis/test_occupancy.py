@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qjrl.analysis.occupancy import RingGrid, VoxelGrid, extrapolated, overlap, ring_grid
-from qjrl.analysis.voxel_check import check_voxels
+from qjrl.analysis.workspace.occupancy import RingGrid, VoxelGrid, extrapolated, overlap, ring_grid
+from qjrl.analysis.workspace.voxel_check import check_voxels
 
 RINGS = RingGrid(0.01, 40)
 RADIUS = 0.3

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from qjrl.analysis.canvas import as_png
-from qjrl.analysis.error_figures import cumulative_errors
+from qjrl.analysis.controllers.error_figures import cumulative_errors
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.metrics import error_table
-from qjrl.analysis.outcomes import Outcome
 from qjrl.analysis.report import Number, Picture, Report, Section, report_page, write_report
 from qjrl.analysis.report_html import clock, prose, three_digits
 

@@ -2,8 +2,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qjrl.analysis import sections
-from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.controllers import sections
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.report import Report, report_page
 from qjrl.robot import cable_lengths, forward_kinematics, load_robot
 

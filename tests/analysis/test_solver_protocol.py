@@ -6,10 +6,10 @@ import pytest
 from arms import arm_named
 
 from qjrl import artifacts
-from qjrl.analysis import solver_figures
 from qjrl.analysis.canvas import as_png
-from qjrl.analysis.solver_protocol import CaseConfig, Measured, Table3Config, draw_targets
-from qjrl.analysis.solver_table import metrics_of, numbers_of, published, solver_table
+from qjrl.analysis.solvers import figures as solver_figures
+from qjrl.analysis.solvers.protocol import CaseConfig, Measured, Table3Config, draw_targets
+from qjrl.analysis.solvers.table import metrics_of, numbers_of, published, solver_table
 from qjrl.analysis.tables import as_text
 from qjrl.solvers import SolveResult, Status
 from qjrl.stages import table3

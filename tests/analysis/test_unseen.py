@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from qjrl.analysis.unseen import estimate_volume, unseen_cells
+from qjrl.analysis.workspace.unseen import estimate_volume, unseen_cells
 
 EQUAL = np.full(2000, 3.0)
 MIXED = np.geomspace(2.0, 60.0, 2000)

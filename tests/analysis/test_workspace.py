@@ -13,11 +13,11 @@ import yaml
 from arms import altered
 
 from qjrl import artifacts, pipeline
-from qjrl.analysis.cloud_viewer import Cloud, cloud_viewer
-from qjrl.analysis.dexterity import OrientationBins
-from qjrl.analysis.tip_clouds import BATCH, LAWS, count_hits, draw_tips
-from qjrl.analysis.workspace import ArmConfig, WorkspaceConfig, measure_workspaces
-from qjrl.analysis.workspace_comparison import compare, judge, parts_of
+from qjrl.analysis.workspace.cloud_viewer import Cloud, cloud_viewer
+from qjrl.analysis.workspace.comparison import compare, judge, parts_of
+from qjrl.analysis.workspace.dexterity import OrientationBins
+from qjrl.analysis.workspace.survey import ArmConfig, WorkspaceConfig, measure_workspaces
+from qjrl.analysis.workspace.tip_clouds import BATCH, LAWS, count_hits, draw_tips
 from qjrl.config import as_mapping, read_yaml
 from qjrl.robot import load_robot
 from qjrl.stages.workspace import Config

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import PANEL, logarithmic, new_figure, style
-from qjrl.analysis.outcomes import controller_label
+from qjrl.analysis.controllers.outcomes import controller_label
 from qjrl.analysis.palette import LIGHT, controller_look
 
 # Below lies the accuracy of settling [mm].

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.analysis.occupancy import RingGrid
+from qjrl.analysis.workspace.occupancy import RingGrid
 from qjrl.config import Range
 
 

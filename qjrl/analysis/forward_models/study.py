@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.analysis.model_latency import LatencyConfig, measure_latency
+from qjrl.analysis.forward_models.latency import LatencyConfig, measure_latency
 from qjrl.config import Range, as_mapping
 from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, pose_function
 from qjrl.robot.model_fitting import Rows, fit_rows, pose_errors, settled_split

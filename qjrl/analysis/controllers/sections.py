@@ -7,14 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.analysis import error_figures, strand_figures
 from qjrl.analysis.arm_drawing import draw_arm
+from qjrl.analysis.controllers import error_figures, strand_figures
+from qjrl.analysis.controllers.outcomes import Outcome, target_set_label
+from qjrl.analysis.controllers.training_figures import learning_curves
 from qjrl.analysis.metrics import by_target_set, error_table, tension_table
-from qjrl.analysis.outcomes import Outcome, target_set_label
 from qjrl.analysis.rendering import image_png, render_arm
 from qjrl.analysis.report import Picture, Section
 from qjrl.analysis.report_html import Number
-from qjrl.analysis.training_figures import learning_curves
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, forward_kinematics
 from qjrl.robot.quaternion_arm.joint import angles_of_bends

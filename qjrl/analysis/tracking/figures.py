@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import new_figure, new_plot, style
 from qjrl.analysis.palette import LIGHT, series_colour
-from qjrl.analysis.tracked import Tracked
+from qjrl.analysis.tracking.tracked import Tracked
 
 _VIEWS = (("x", "y", 0, 1), ("x", "z", 0, 2), ("y", "z", 1, 2))
 

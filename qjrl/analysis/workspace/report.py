@@ -5,13 +5,12 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from qjrl.analysis import workspace_comparison as comparison
-from qjrl.analysis import workspace_figures as figures
-from qjrl.analysis.cloud_viewer import Cloud, cloud_viewer
 from qjrl.analysis.palette import SERIES
 from qjrl.analysis.report import Picture, Report, Section
 from qjrl.analysis.report_html import Number, anchor
-from qjrl.analysis.workspace import ArmWorkspace, WorkspaceConfig
+from qjrl.analysis.workspace.cloud_viewer import Cloud, cloud_viewer
+from qjrl.analysis.workspace import comparison, figures
+from qjrl.analysis.workspace.survey import ArmWorkspace, WorkspaceConfig
 
 _IN_VIEWER = 8000
 """Points of an arm in the viewer: turns smoothly on a phone."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from qjrl.analysis.outcomes import Outcome
+from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.simulation.settling import SLACK_TENSION
 
 # Controller of a report -> prefix of its columns in the answers.

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from qjrl.analysis.arm_drawing import ABOVE, FRONT, View, oblique
 from qjrl.analysis.canvas import logarithmic, new_figure, new_plot, style
-from qjrl.analysis.occupancy import RingGrid
 from qjrl.analysis.palette import LIGHT, series_colour
+from qjrl.analysis.workspace.occupancy import RingGrid
 
 _VIEWS = {"oblique": oblique(), "front": FRONT, "above": ABOVE}
 

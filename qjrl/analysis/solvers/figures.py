@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import logarithmic, new_plot, style
 from qjrl.analysis.palette import LIGHT, series_colour
-from qjrl.analysis.solver_protocol import Measured
+from qjrl.analysis.solvers.protocol import Measured
 from qjrl.solvers import Status
 
 _STATUS_LOOK = {

@@ -40,7 +40,7 @@ def track_viewer(robot: Robot, time: np.ndarray, joint_positions: np.ndarray, pl
         "arm": _encoded(points / unit),
         "path": _encoded(planned / unit),
     }
-    script = Path(__file__).with_name("track_viewer.js").read_text(encoding="utf-8")
+    script = Path(__file__).with_name("viewer.js").read_text(encoding="utf-8")
     return Fragment(
         '<div class="viewer"><p class="boxes"><button type="button">Pause</button>'
         '<input type="range" min="0" max="1000" value="0" aria-label="Time" style="flex: 1; min-width: 8rem">'

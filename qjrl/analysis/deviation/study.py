@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from qjrl.analysis import elliptical_deviation as closed_form
-from qjrl.analysis.deviation_effects import (
+from qjrl.analysis.deviation import closed_form
+from qjrl.analysis.deviation.closed_form import DeviationMap, deviation_map
+from qjrl.analysis.deviation.effects import (
     ArmEffects,
     SettledEffects,
     arm_with_joint,
@@ -16,7 +17,6 @@ from qjrl.analysis.deviation_effects import (
     home_height,
     settled_effects,
 )
-from qjrl.analysis.elliptical_deviation import DeviationMap, deviation_map
 from qjrl.analysis.tables import Column, Table
 from qjrl.config import Range
 from qjrl.robot.verbs import Robot

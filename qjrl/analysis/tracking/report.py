@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from qjrl.analysis.report import Fragment, Picture, Report, Section
 from qjrl.analysis.report_html import Number
-from qjrl.analysis.tracked import tracking_table
+from qjrl.analysis.tracking.tracked import tracking_table
 
 
 def track_report(

@@ -6,8 +6,8 @@ from typing import Any, Protocol
 import numpy as np
 from scipy import stats
 
+from qjrl.analysis.controllers.outcomes import controller_label
 from qjrl.analysis.metrics import quantiles
-from qjrl.analysis.outcomes import controller_label
 from qjrl.analysis.tables import Column, Table
 
 # Median length of a vector whose three components are normal with standard deviation 1.

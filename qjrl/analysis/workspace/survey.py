@@ -8,11 +8,11 @@ from typing import Annotated
 import jax
 import numpy as np
 
-from qjrl.analysis.dexterity import Dexterity, DexterityGrid, OrientationBins, dexterity
-from qjrl.analysis.occupancy import RingGrid, VoxelGrid, extrapolated, ring_grid
-from qjrl.analysis.tip_clouds import BATCH, LAWS, count_hits, draw_tips
-from qjrl.analysis.unseen import VolumeEstimate, estimate_volume
-from qjrl.analysis.voxel_check import VoxelCheck, check_voxels
+from qjrl.analysis.workspace.dexterity import Dexterity, DexterityGrid, OrientationBins, dexterity
+from qjrl.analysis.workspace.occupancy import RingGrid, VoxelGrid, extrapolated, ring_grid
+from qjrl.analysis.workspace.tip_clouds import BATCH, LAWS, count_hits, draw_tips
+from qjrl.analysis.workspace.unseen import VolumeEstimate, estimate_volume
+from qjrl.analysis.workspace.voxel_check import VoxelCheck, check_voxels
 from qjrl.config import Range, as_mapping
 from qjrl.robot import load_robot, robot_from_mapping
 from qjrl.robot.verbs import Robot

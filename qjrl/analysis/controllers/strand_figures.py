@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import new_plot, style
-from qjrl.analysis.outcomes import Outcome, controller_label
+from qjrl.analysis.controllers.outcomes import Outcome, controller_label
 from qjrl.analysis.palette import LIGHT, controller_look
 
 

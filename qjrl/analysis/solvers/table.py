@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from qjrl.analysis.solver_protocol import Measured
+from qjrl.analysis.solvers.protocol import Measured
 from qjrl.analysis.tables import Column, Table
 from qjrl.config import conf_folder
 from qjrl.solvers import Status

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from qjrl.analysis.dexterity import mean_over_volume
-from qjrl.analysis.occupancy import Overlap, overlap
 from qjrl.analysis.tables import Column, Table
-from qjrl.analysis.workspace import ArmWorkspace, WorkspaceConfig
+from qjrl.analysis.workspace.dexterity import mean_over_volume
+from qjrl.analysis.workspace.occupancy import Overlap, overlap
+from qjrl.analysis.workspace.survey import ArmWorkspace, WorkspaceConfig
 
 LITRE = 1e-3
 """[m^3]."""

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import logarithmic, new_figure, new_plot, style
-from qjrl.analysis.deviation_effects import home_height
-from qjrl.analysis.deviation_study import DeviationConfig, JointStudy
-from qjrl.analysis.elliptical_deviation import DeviationMap, cancelling_offset, deviation
+from qjrl.analysis.deviation.closed_form import DeviationMap, cancelling_offset, deviation
+from qjrl.analysis.deviation.effects import home_height
+from qjrl.analysis.deviation.study import DeviationConfig, JointStudy
 from qjrl.analysis.palette import LIGHT, series_colour
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from qjrl.analysis.occupancy import RingGrid, VoxelGrid
+from qjrl.analysis.workspace.occupancy import RingGrid, VoxelGrid
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import logarithmic, new_plot, style
-from qjrl.analysis.outcomes import Outcome, controller_label
+from qjrl.analysis.controllers.outcomes import Outcome, controller_label
 from qjrl.analysis.palette import LIGHT, controller_look, series_colour
 
 Quantity = Literal["position", "orientation"]

@@ -1,0 +1,1 @@
+"""How far the joint's path leaves the circle, and what that does."""

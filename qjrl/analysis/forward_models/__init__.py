@@ -1,0 +1,1 @@
+"""Which forward model for how many rows."""

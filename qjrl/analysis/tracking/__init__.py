@@ -1,0 +1,1 @@
+"""How well a path was followed."""
