@@ -8,8 +8,8 @@ from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
-from qjrl.analysis.workspace.report import workspace_figures, workspace_report
 from qjrl.analysis.workspace import comparison
+from qjrl.analysis.workspace.report import workspace_figures, workspace_report
 from qjrl.analysis.workspace.survey import WorkspaceConfig, measure_workspaces, num_poses, robot_of
 from qjrl.robot import robot_hash
 

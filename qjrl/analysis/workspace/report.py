@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from qjrl.analysis.palette import SERIES
 from qjrl.analysis.report import Picture, Report, Section
 from qjrl.analysis.report_html import Number, anchor
-from qjrl.analysis.workspace.cloud_viewer import Cloud, cloud_viewer
 from qjrl.analysis.workspace import comparison, figures
+from qjrl.analysis.workspace.cloud_viewer import Cloud, cloud_viewer
 from qjrl.analysis.workspace.survey import ArmWorkspace, WorkspaceConfig
 
 _IN_VIEWER = 8000
