@@ -63,7 +63,7 @@ def run(run_dir, stages=None, **changes):
 
 def stages_run(caplog):
     """Which stages ran and which were skipped, from the log."""
-    lines = [record.getMessage() for record in caplog.records if record.name == "qjrl.pipeline"]
+    lines = [record.getMessage() for record in caplog.records if record.name == "qjrl.stage"]
     skipped = {line.split(":")[0] for line in lines if "skipped" in line}
     return [line.split(":")[0] for line in lines if "starts" in line], skipped
 
