@@ -15,6 +15,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range
+from qjrl.geometry import cholesky
 from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.model_tip import TipFunction
@@ -136,7 +137,8 @@ def damped_step(
     """
     normal = jnp.sum(residual.jacobian[:, None] * residual.jacobian[None], axis=2)  # J J^T, (6, 6, lanes)
     scaled_damping = damping * sum(normal[i, i] for i in range(6))
-    step = jnp.sum(residual.jacobian * _solve(normal, scaled_damping, residual.error)[:, None], axis=0)
+    rows = [[normal[i, j] + (scaled_damping if i == j else 0.0) for j in range(i + 1)] for i in range(6)]
+    step = jnp.sum(residual.jacobian * cholesky.solve(cholesky.factor(rows), residual.error)[:, None], axis=0)
     return step * jnp.minimum(1.0, largest / jnp.maximum(jnp.sqrt(jnp.sum(step**2, axis=0)), largest))
 
 
@@ -230,23 +232,6 @@ def _rotation_vector(rotation: jax.Array, target: jax.Array) -> jax.Array:
     sine = jnp.sqrt(jnp.where(is_straight, 1.0, squared))
     cosine = 0.5 * (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1.0)
     return sine_axis * jnp.where(is_straight, 1.0, jnp.arctan2(sine, cosine) / sine)
-
-
-def _solve(matrix: jax.Array, damping: jax.Array, right: jax.Array) -> jax.Array:
-    """(matrix + damping I)^-1 right by Cholesky, written out: lanes side by side instead of one LAPACK call each."""
-    size = len(right)
-    lower, inverse = [[jnp.zeros_like(damping)] * size for _ in range(size)], []
-    for j in range(size):
-        inverse.append(jax.lax.rsqrt(matrix[j, j] + damping - sum(lower[j][k] ** 2 for k in range(j))))
-        for i in range(j + 1, size):
-            lower[i][j] = (matrix[i, j] - sum(lower[i][k] * lower[j][k] for k in range(j))) * inverse[j]
-    forward = []
-    for i in range(size):
-        forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) * inverse[i])
-    back = [right[0]] * size
-    for i in reversed(range(size)):
-        back[i] = (forward[i] - sum(lower[k][i] * back[k] for k in range(i + 1, size))) * inverse[i]
-    return jnp.stack(back)
 
 
 # A descent goes on until its errors are this part of the tolerances: the answer holds when it is recomputed.
