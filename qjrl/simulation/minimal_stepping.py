@@ -50,6 +50,7 @@ class MinimalStepper:
         self._state = MinimalState(zeros(robot.num_segments, 2), zeros(robot.num_segments, 2), zeros(rows))
         self._commands = zeros(robot.num_strands)
         self._parameters = PhysicalParameters.nominal(robot, num_sims)
+        self._physics = _physics_of(robot, self._parameters)
         self._has_failed = np.zeros(num_sims, bool)
         self._seen: _Seen | None = None
 
@@ -58,6 +59,7 @@ class MinimalStepper:
     ) -> None:
         """Put simulations `ids` at rest at joint positions (len(ids), nq), holding commands, with new parameters."""
         self._parameters.assign(ids, parameters.arrays())
+        self._physics = _physics_of(self._robot, self._parameters)
         first = _first_joints(self._robot, np.broadcast_to(joint_positions, (len(ids), np.shape(joint_positions)[-1])))
         self._state.half_angles[..., ids] = first
         self._state.rates[..., ids], self._state.impulses[..., ids] = 0.0, 0.0
@@ -97,6 +99,7 @@ class MinimalStepper:
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
         self._parameters.assign(np.arange(self.num_sims), state)
+        self._physics = _physics_of(self._robot, self._parameters)
         fields = dataclasses.fields(MinimalState)
         self._state = MinimalState(**{field.name: np.array(state[field.name]) for field in fields})
         self._commands, self._has_failed = np.array(state["commands"]), np.array(state["has_failed"])
@@ -107,26 +110,27 @@ class MinimalStepper:
 
         def run(block: np.ndarray):
             lanes = slice(block[0], block[-1] + 1)
-            cut = jax.tree.map(lambda value: value[..., lanes], (state, commands))
-            return jax.tree.map(np.asarray, function(self._physics(lanes), *cut))
+            cut = jax.tree.map(lambda value: value[..., lanes], (self._physics, state, commands))
+            return jax.tree.map(np.asarray, function(*cut))
 
         return jax.tree.map(lambda *parts: np.concatenate(parts, axis=-1), *self._pool.map(run, self._blocks))
 
-    def _physics(self, lanes: slice) -> Physics:
-        robot, ours = self._robot, self._parameters
-        single = lambda values: np.asarray(values[..., lanes], np.float32)  # noqa: E731
-        strands, mechanics = robot.config.strands, robot.config.mechanics
-        load = Load(
-            gravity=single(tilted(np.array(mechanics.gravity), ours.tilt).T),
-            armature_scale=single(ours.armature_scale),
-            payload=single(np.full(self.num_sims, mechanics.payload)),
-        )
-        return Physics(
-            load,
-            strand_stiffness=single(float(robot.strand_stiffness) * ours.gain_scale),
-            strand_damping=single(strands.damping * ours.strand_damping_scale),
-            strand_friction=single(ours.strand_friction),
-        )
+
+def _physics_of(robot: Robot, parameters: PhysicalParameters) -> Physics:
+    """Parameters of all simulations as the step takes them: lanes last, float32."""
+    single = lambda values: np.asarray(values, np.float32)  # noqa: E731
+    strands, mechanics = robot.config.strands, robot.config.mechanics
+    load = Load(
+        gravity=single(tilted(np.array(mechanics.gravity), parameters.tilt).T),
+        armature_scale=single(parameters.armature_scale),
+        payload=np.full(len(parameters.tilt), mechanics.payload, np.float32),
+    )
+    return Physics(
+        load,
+        strand_stiffness=single(float(robot.strand_stiffness) * parameters.gain_scale),
+        strand_damping=single(strands.damping * parameters.strand_damping_scale),
+        strand_friction=single(parameters.strand_friction),
+    )
 
 
 def _see(robot: Robot, physics: Physics, state: MinimalState, commands: jax.Array) -> _Seen:
