@@ -13,7 +13,16 @@ from flax import struct
 from qjrl.progress import compiling
 from qjrl.robot import build_mjcf
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import ArmState, Rows, compile_batch, load_arm, mjx, single_precision, tip_pose
+from qjrl.simulation.mjx_model import (
+    ArmState,
+    Rows,
+    balanced_step,
+    compile_batch,
+    load_arm,
+    mjx,
+    single_precision,
+    tip_pose,
+)
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
 
 # In float32 a resting arm still shows mean |joint velocity| of up to 1.2e-4 rad/s: what counts as rest is above that.
@@ -92,7 +101,7 @@ def _move(config: SettleConfig, model: mjx.Model, home: mjx.Data, row: _Row) -> 
     tolerance = max(config.rest_speed, REST_SPEED)
 
     def step(_, row: _Row) -> _Row:
-        data = mjx.step(model, row.state.placed_in(home))
+        data = balanced_step(model, row.state.placed_in(home))
         is_quiet = jnp.mean(jnp.abs(data.qvel)) < tolerance
         quiet = jnp.where(is_quiet, row.quiet_steps + 1, 0)
         moved = _Row(row.state.moved_to(data), row.steps + 1, quiet)

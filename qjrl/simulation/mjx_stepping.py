@@ -14,7 +14,16 @@ from qjrl.progress import compiling
 from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.mjx_model import ArmState, Rows, compile_batch, load_arm, mjx, single_precision, tip_pose
+from qjrl.simulation.mjx_model import (
+    ArmState,
+    Rows,
+    balanced_step,
+    compile_batch,
+    load_arm,
+    mjx,
+    single_precision,
+    tip_pose,
+)
 from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
@@ -158,7 +167,7 @@ def _advance(
 ) -> tuple[ArmState, _Measured]:
     """One simulation `num_steps` time steps on, and what it shows there (site `tip`'s pose)."""
     model = _individual(model, physics)
-    data = jax.lax.fori_loop(0, num_steps, lambda _, data: mjx.step(model, data), state.placed_in(home))
+    data = jax.lax.fori_loop(0, num_steps, lambda _, data: balanced_step(model, data), state.placed_in(home))
     data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))  # what is seen there
     seen = _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, tip_pose(data, tip))
     return state.moved_to(data), seen

@@ -7,7 +7,7 @@ from arms import over_rows, random_bends
 
 from qjrl.control.environment import Bank, EnvironmentConfig, ResidualEnvironment
 from qjrl.robot import cable_lengths, forward_kinematics, joint_positions, load_robot, strand_commands
-from qjrl.simulation import SettleConfig
+from qjrl.simulation import SettleConfig, settle
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
@@ -78,6 +78,20 @@ def test_mjx_moves_as_c_mujoco_does(arm, mjx, lengths):
     is_free = various_parameters().strand_friction == 0.0
     assert tip_mm[:, is_free].max() < 0.02  # measured: 0.003
     assert tip_mm.max() < 0.5  # dry friction, softer than in C and in float32; measured: 0.32
+
+
+def test_mjx_keeps_still_what_rests_in_c_mujoco(arm, mjx, lengths):
+    """Without balanced forces, see `mjx_model.balanced`, the mean was 2.6e-3 rad/s and the largest 4e-2."""
+    rest = settle(arm, lengths)
+    held = over_rows(strand_commands, arm, lengths)
+    mjx.reset(EVERYONE, rest.joint_positions, held, PhysicalParameters.nominal(arm, NUM_SIMS))
+    speeds = []
+    for _ in range(25):
+        mjx.step(held, SUBSTEPS)
+        speeds.append(np.abs(mjx.read().joint_velocities).mean(axis=1))
+    assert np.mean(speeds) < 2e-4
+    assert np.max(speeds) < 2e-3
+    assert 1e3 * np.abs(mjx.read().pose[:, :3] - rest.pose[:, :3]).max() < 0.02
 
 
 def test_mjx_goes_on_bit_for_bit_from_its_state(arm, mjx, lengths):
