@@ -78,6 +78,7 @@ STAGES: dict[str, Stage] = {
         writes="elliptical_deviation",
         default=False,
     ),
+    "jitter": Stage("qjrl.stages.jitter", "measure what moves at rest, in C and MJX", writes="jitter", default=False),
     "table3": Stage(
         "qjrl.stages.table3",
         "solve the paper's inverse-kinematics protocol by FABRIK and least squares",
