@@ -46,7 +46,12 @@ _CONTROLLERS = {
     "least_squares": ("grey", (0, (4, 1.6))),
     "nominal": ("grey", (0, (4, 1.6))),
     "learned_ik": ("blue", "-"),
+    "learned_ik+integral": ("teal", "-"),
+    "learned_ik+dither": ("violet", (0, (4, 1.6))),
+    "learned_ik+dither+integral": ("teal", (0, (4, 1.6))),
     "learned_ik+residual": ("orange", "-"),
+    "learned_ik+integral+residual": ("orange", "-"),
+    "learned_ik+dither+residual": ("orange", "-"),
 }
 _LINES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from qjrl.control.judging import Judge, Judgement, arrives_in_time
-from qjrl.control.policy_training import PolicyConfig, acting, bank_of
+from qjrl.control.bases import BASES, Base, bank_of, command_column, controller_name, environment_of
+from qjrl.control.judging import Act, Judge, Judgement, arrives_in_time
+from qjrl.control.policy_training import PolicyConfig, acting
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
@@ -14,15 +15,6 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 # Offset of the run's seed: arms that no training and no earlier judgement has seen.
 _COMPARE_SEED = 4_000_003
-
-
-# Base of a policy -> name of its controller.
-BASE_CONTROLLERS = {"nominal": "nominal", "learned": "learned_ik"}
-
-
-def residual_name(config: PolicyConfig) -> str:
-    """Name of the controller that adds the policy to its base: "learned_ik+residual"."""
-    return f"{BASE_CONTROLLERS[config.base]}+residual"
 
 
 def compare_controllers(
@@ -41,20 +33,14 @@ def compare_controllers(
         targets: columns of `ik/held_out.npz`. Left out are targets at which one of the base commands arrives too
             late, and those on which any controller's simulation diverged: all controllers keep the same rows.
     """
-    controllers = {
-        "nominal": ("nominal", None),
-        "learned_ik": ("learned", None),
-        residual_name(config): (config.base, acting(policy)),
-    }
-    in_time = np.all(
-        [arrives_in_time(robot, config.environment, targets[f"{base}_lengths"]) for base in ("nominal", "learned")],
-        axis=0,
-    )
-    rows = np.flatnonzero(in_time)
+    controllers: list[tuple[Base, Act | None]] = [*((base, None) for base in BASES), (config.base, acting(policy))]
+    in_time = [arrives_in_time(robot, config.environment, targets[command_column(base)]) for base in BASES]
+    rows = np.flatnonzero(np.all(in_time, axis=0))
     found, stepper = {}, make_stepper(robot, len(rows), simulation)
-    for name, (base, act) in controllers.items():
-        judge = Judge(robot, config.environment, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)
-        found[name] = judge.judge(act, advance)
+    for base, act in controllers:
+        of_base = environment_of(config.environment, base)
+        judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)
+        found[controller_name(base, act is not None)] = judge.judge(act, advance)
     is_valid = np.all([one.is_valid for one in found.values()], axis=0)
     return {
         (target_set, name): _of_set(one, rows, is_valid, targets["target_set"] == index)

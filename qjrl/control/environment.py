@@ -16,6 +16,7 @@ import numpy as np
 
 from qjrl.control import episode
 from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.motors import action_size
 from qjrl.control.observations import ControlState, TrueState
 from qjrl.learning.ppo.environment import Observation, Transition
 from qjrl.robot import joint_positions, strand_commands
@@ -40,7 +41,8 @@ class ResidualEnvironment:
         seed: int,
         rows: np.ndarray | None = None,
     ):
-        self.num_envs, self.action_size = stepper.num_sims, robot.num_cables
+        self.num_envs, self.action_size = stepper.num_sims, action_size(config.residual, robot)
+        self.gives_advice = True
         self._robot, self._bank, self._stepper, self._rows, self._seed = robot, bank, stepper, rows, seed
         self._substeps = max(1, round(config.control_period / stepper.timestep))
         self._compiled = _compile(config)

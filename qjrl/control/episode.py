@@ -12,17 +12,18 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range
-from qjrl.control import motors
+from qjrl.control import motors, tip_correction
 from qjrl.control.observations import (
     ACTION_HISTORY,
     ControlState,
     TrueState,
     actor_observation,
     critic_observation,
+    held_rotation_vectors,
 )
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.rewards import RewardConfig, reward
-from qjrl.control.sensors import TIME_CONSTANTS, read_encoders, remember
+from qjrl.control.sensors import MEMORY_SIZE, SETTLING, read_encoders, remember
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY
 from qjrl.robot import configuration_from_joint_positions, strand_commands
@@ -41,6 +42,8 @@ class EnvironmentConfig:
     """Targets whose base ramp ends later are left out and counted [s]."""
     scored_time: Annotated[float, Range(above=0.0)] = 0.5
     """Errors are judged over this long at the end of an episode [s]."""
+    dither: motors.DitherConfig = motors.DitherConfig()
+    integral: tip_correction.IntegralConfig = tip_correction.IntegralConfig()
     residual: motors.ResidualConfig = motors.ResidualConfig()
     reward: RewardConfig = RewardConfig()
     randomisation: RandomisationConfig = RandomisationConfig()
@@ -96,15 +99,18 @@ def begin(
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
     cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
     zeros = jnp.zeros((robot.num_cables,), bank.base_lengths.dtype)
+    residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
     readings = jnp.zeros((robot.num_segments, 2), bank.base_lengths.dtype)
     state = ControlState(
         target=bank.target[row],
         base_lengths=bank.base_lengths[row],
         command=zeros,
-        residual=zeros,
-        actions=jnp.zeros((ACTION_HISTORY, robot.num_cables), zeros.dtype),
+        correction=tip_correction.correction_matrix(robot, bank.base_lengths[row]),
+        integral=zeros,
+        residual=residual,
+        actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
         reading=readings,
-        memory=jnp.zeros((len(TIME_CONSTANTS), *readings.shape), zeros.dtype),
+        memory=jnp.zeros((MEMORY_SIZE, *readings.shape), zeros.dtype),
         step=jnp.zeros((), jnp.int32),
         initial_errors=jnp.zeros(2, zeros.dtype),
         episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
@@ -115,11 +121,9 @@ def begin(
 
 def restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
     """First reading and first observation of an episode, from the physics at rest at home."""
-    key_noise, key_next = jax.random.split(state.key)
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
-    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
+    reading, key_next = _read(config, robot, state, truth)
     errors = _errors(truth, state)
-    memory = jnp.broadcast_to(reading, state.memory.shape)
+    memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
     state = dataclasses.replace(
         state, reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next
     )
@@ -127,10 +131,13 @@ def restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth:
 
 
 def command(config: EnvironmentConfig, robot: Robot, state: ControlState, action: jax.Array):
-    """The next control state's commands and the strands' rest lengths: base and residual summed before one limiter."""
+    """The next control state's commands and the strands' rest lengths: all that is added summed before one limiter."""
     period = config.control_period
     residual = motors.move_residual(config.residual, state.residual, action, period)
-    desired = motors.ramped_base(robot, state.base_lengths, (state.step + 1) * period) + residual
+    time = (state.step + 1) * period
+    shaken = motors.dither(config.dither, state.base_lengths, time - motors.ramp_time(robot, state.base_lengths))
+    added = shaken + state.integral + motors.residual_lengths(config.residual, residual, state.correction)
+    desired = motors.ramped_base(robot, state.base_lengths, time) + added
     lengths = motors.limit_speed(robot, state.command, desired, period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
     planned = dataclasses.replace(state, residual=residual, command=lengths, actions=actions)
@@ -138,14 +145,12 @@ def command(config: EnvironmentConfig, robot: Robot, state: ControlState, action
 
 
 def observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> StepOutcome:
-    """Sensors, reward and end of episode after the physics has moved."""
-    key_noise, key_next = jax.random.split(state.key)
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
-    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise).astype(state.reading.dtype)
-    memory = remember(state.memory, reading, config.control_period).astype(state.memory.dtype)
-    state = dataclasses.replace(state, step=state.step + 1, reading=reading, memory=memory, key=key_next)
-    errors = _errors(truth, state)
+    """Sensors, feedback, reward and end of episode after the physics has moved."""
+    reading, key_next = _read(config, robot, state, truth)
+    state = dataclasses.replace(state, step=state.step + 1, reading=reading, key=key_next)
+    state = _remember(config, robot, state)
     has_arrived = _ramp(config, robot, state) >= 1.0
+    errors = _errors(truth, state)
     earned = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
     metrics = {
         "position_error": errors[0],
@@ -156,17 +161,54 @@ def observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth:
     return StepOutcome(state, observation, earned, state.step >= state.episode_steps, metrics)
 
 
+def _read(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
+    """The encoders' reading now, and the key of the next one."""
+    key_noise, key_next = jax.random.split(state.key)
+    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise)
+    return reading.astype(state.reading.dtype), key_next
+
+
+def _remember(config: EnvironmentConfig, robot: Robot, state: ControlState) -> ControlState:
+    """The memory and the integral after a reading; feedback acts once the base command is ramped in and the dither over."""
+    deviation = state.reading - held_rotation_vectors(robot, state.command)
+    memory = remember(state.memory, deviation, _waited(config, robot, state), config.control_period).astype(
+        state.memory.dtype
+    )
+    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
+    moved = tip_correction.integrate(
+        config.integral, state.integral, state.correction, difference, config.control_period
+    )
+    begins = SETTLING if config.dither.amplitude > 0.0 else 0.0
+    acts = (_ramp(config, robot, state) >= 1.0) & (_waited(config, robot, state) >= begins)
+    integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
+    return dataclasses.replace(state, memory=memory, integral=integral)
+
+
 def _observation(
     config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array
 ) -> dict[str, jax.Array]:
-    actor = actor_observation(robot, state, _ramp(config, robot, state))
-    return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors)}
+    actor = actor_observation(robot, state, _ramp(config, robot, state), _waited(config, robot, state))
+    advice = _advice(config, robot, state, truth)
+    return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors, advice)}
+
+
+def _advice(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> jax.Array:
+    """The action whose offset would take the tip to its target, as only the simulation can know; none before it has settled."""
+    lacking = tip_correction.weighted_difference(truth.pose, state.target)
+    advised = motors.advised_action(config.residual, state.residual, lacking, state.correction)
+    return jnp.where(_waited(config, robot, state) >= SETTLING, advised, 0.0)
 
 
 def _ramp(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
     """How much of the base command is ramped in, 0 to 1."""
     duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
     return jnp.minimum(state.step * config.control_period / duration, 1.0)
+
+
+def _waited(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """Time [s] since the base command is ramped in."""
+    return jnp.maximum(state.step * config.control_period - motors.ramp_time(robot, state.base_lengths), 0.0)
 
 
 def _errors(truth: TrueState, state: ControlState) -> jax.Array:

@@ -12,7 +12,7 @@ from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import Stepper
 
-# Actor observations (n, size) -> actions (n, num_cables) in [-1, 1].
+# Actor observations (n, size) -> actions (n, action size) in [-1, 1].
 Act = Callable[[np.ndarray], np.ndarray]
 
 
@@ -35,16 +35,16 @@ def arrives_in_time(robot: Robot, config: EnvironmentConfig, base_lengths: np.nd
     return np.array([float(ramp_time(robot, row)) <= config.latest_arrival for row in base_lengths])
 
 
-def do_nothing(observation: np.ndarray, num_cables: int) -> np.ndarray:
+def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:
     """The base controller alone: a residual that never moves."""
-    return np.zeros((len(observation), num_cables), np.float32)
+    return np.zeros((len(observation), action_size), np.float32)
 
 
 class Judge:
     """A set of targets with its own simulations; every controller gets the same parameters and the same noise."""
 
     def __init__(self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int):
-        self._config, self._num_cables = config, robot.num_cables
+        self._config = config
         self._environment = ResidualEnvironment(robot, config, bank, stepper, seed, rows=np.arange(len(bank.target)))
 
     def judge(self, act: Act | None = None, advance=None) -> Judgement:
@@ -54,8 +54,8 @@ class Judge:
             act: actor observations to actions.
             advance: called with the number of environment steps made.
         """
-        act = act or (lambda observation: do_nothing(observation, self._num_cables))
         environment, steps = self._environment, self._config.episode_steps
+        act = act or (lambda observation: do_nothing(observation, environment.action_size))
         observation = environment.reset()
         errors, is_valid = [], np.ones(environment.num_envs, bool)
         tension = environment.strand_tension.copy()

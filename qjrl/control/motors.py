@@ -1,7 +1,7 @@
 """From base command and residual to what the motors do: ramp, bounded residual, one speed limiter."""
 
 import dataclasses
-from typing import Annotated
+from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
@@ -14,10 +14,28 @@ from qjrl.robot.verbs import Robot
 class ResidualConfig:
     """How an action becomes an offset of the cable lengths."""
 
-    rate: Annotated[float, Range(above=0.0)] = 0.0025
-    """Fastest change of the residual [m/s] at an action of 1; below the motors' 0.0314. Ours: 0.05 mm a control step."""
+    space: Literal["tip", "cables"] = "tip"
+    """What an action moves: the tip, through the model's Jacobian (six numbers, ours), or the cables (paper 000, section 4)."""
     bound: Annotated[float, Range(above=0.0)] = 0.003
-    """Largest residual of a cable [m], ours: a few times the base's error. The paper's is 0.020, anew at every step."""
+    """Offset [m] at an action of 1, of the tip or of a cable; an orientation counts with `LEVER`. The paper's is 0.020."""
+    rate: Annotated[float, Range(above=0.0)] = 0.01
+    """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DitherConfig:
+    """Shaking off the friction: once the base command is ramped in, every motor swings about it, less and less.
+
+    Dry friction holds a strand short of where its spring would let it rest, always against the way it came. Swings that
+    die away slowly leave it in the middle, as they leave a magnet without magnetisation.
+    """
+
+    amplitude: Annotated[float, Range(low=0.0)] = 0.0005
+    """First swing of a cable [m], ours; 0 switches it off."""
+    decay: Annotated[float, Range(above=0.0)] = 0.3
+    """Time in which the swings fall to 1/e [s]."""
+    half_period: Annotated[float, Range(above=0.0)] = 0.04
+    """Time between two reversals [s]."""
 
 
 def ramp_time(robot: Robot, base_lengths: jax.Array) -> jax.Array:
@@ -31,9 +49,33 @@ def ramped_base(robot: Robot, base_lengths: jax.Array, time: jax.Array) -> jax.A
     return base_lengths * jnp.minimum(time / duration, 1.0)
 
 
+def dither(config: DitherConfig, base_lengths: jax.Array, waited: jax.Array) -> jax.Array:
+    """What the dither adds to the cables (num_cables,) [m] a time [s] after the ramp's end; first against the way they came."""
+    swings = jnp.floor(jnp.maximum(waited, 0.0) / config.half_period + 1e-6)
+    swing = config.amplitude * jnp.exp(-waited / config.decay) * jnp.where(swings % 2 == 0, -1.0, 1.0)
+    return jnp.where(waited >= 0.0, swing, 0.0) * jnp.sign(base_lengths)
+
+
+def action_size(config: ResidualConfig, robot: Robot) -> int:
+    """How many numbers an action has."""
+    return 6 if config.space == "tip" else robot.num_cables
+
+
 def move_residual(config: ResidualConfig, residual: jax.Array, action: jax.Array, period: float) -> jax.Array:
-    """Residual (num_cables,) [m] after one control period [s] under an action in [-1, 1]."""
-    return jnp.clip(residual + jnp.clip(action, -1.0, 1.0) * config.rate * period, -config.bound, config.bound)
+    """Residual (action_size,) [m] after one control period [s]: towards `bound` times the action, at most at `rate`."""
+    largest = config.rate * period
+    return residual + jnp.clip(config.bound * jnp.clip(action, -1.0, 1.0) - residual, -largest, largest)
+
+
+def residual_lengths(config: ResidualConfig, residual: jax.Array, correction: jax.Array) -> jax.Array:
+    """Cable lengths (num_cables,) [m] of a residual; `correction` (num_cables, 6) is `tip_correction.correction_matrix`."""
+    return correction @ residual if config.space == "tip" else residual
+
+
+def advised_action(config: ResidualConfig, residual: jax.Array, lacking: jax.Array, correction: jax.Array) -> jax.Array:
+    """Action (action_size,) that moves the residual by what the tip lacks, `tip_correction.weighted_difference` (6,) [m]."""
+    needed = lacking if config.space == "tip" else correction @ lacking
+    return jnp.clip((residual + needed) / config.bound, -1.0, 1.0)
 
 
 def limit_speed(robot: Robot, command: jax.Array, desired: jax.Array, period: float) -> jax.Array:

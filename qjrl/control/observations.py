@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.control.sensors import bends_of_rotation_vectors, rotation_vectors
-from qjrl.robot import bends_from_cables, forward_kinematics
+from qjrl.control.sensors import rotation_vectors
+from qjrl.control.tip_correction import sensed_pose, weighted_difference
+from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
 
 # Actions the actor remembers (paper 000, section 4).
@@ -22,14 +23,18 @@ class ControlState:
     """(num_cables,) the base controller's answer [m]."""
     command: jax.Array
     """(num_cables,) what the motors hold now [m]."""
+    correction: jax.Array
+    """(num_cables, 6) cables for each metre that the tip lacks, around the base command."""
+    integral: jax.Array
+    """(num_cables,) what integral feedback adds [m]."""
     residual: jax.Array
-    """(num_cables,) [m]."""
+    """(action size,) what the policy adds, of the tip or of the cables [m]."""
     actions: jax.Array
-    """(ACTION_HISTORY, num_cables), newest first."""
+    """(ACTION_HISTORY, action size), newest first."""
     reading: jax.Array
     """(segments, 2) newest encoder estimate [rad]."""
     memory: jax.Array
-    """(constants, segments, 2) exponential means of the readings [rad]."""
+    """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
     step: jax.Array
     """Control steps since the start of the episode."""
     initial_errors: jax.Array
@@ -49,32 +54,45 @@ class TrueState:
     pose: jax.Array
 
 
-def actor_observation(robot: Robot, state: ControlState, ramp: jax.Array) -> jax.Array:
-    """Only what the real robot has: sensor memory, last actions, motor command, target, base command, residual.
+def actor_observation(robot: Robot, state: ControlState, ramp: jax.Array, waited: jax.Array) -> jax.Array:
+    """Only what the real robot has: sensor memory, last actions, motor command, target, base command, residual, clock.
 
-    Readings are given as deviations from the bends at which the motor command would hold a perfect arm, and as the
-    tip's deviation from the target by the closed-form kinematics of the slowest mean: the same numbers, but with the
-    millimetres that matter not lost among the radians.
+    Beside the readings' deviations from the command stands what the tip lacks of its target according to each of them:
+    the same numbers, but with the millimetres that matter not lost among the radians. It is zero until the base
+    command is ramped in, lest the way to the target drown what is left at its end.
+
+    Args:
+        ramp: how much of the base command is ramped in, 0 to 1.
+        waited: time [s] since then.
     """
-    held = rotation_vectors(bends_from_cables(robot, state.command))
-    estimated_pose = forward_kinematics(robot, bends_of_rotation_vectors(state.memory[-1]))
+    held = held_rotation_vectors(robot, state.command)
+    deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
+    lacking = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, held + one), state.target))(deviations)
     parts = (
         rotation_vectors(bends_from_cables(robot, state.base_lengths)),
-        state.reading - held,
-        state.memory - held,
-        estimated_pose - state.target,
+        deviations,
+        jnp.where(ramp >= 1.0, lacking, 0.0),
         state.actions,
         state.command,
         state.target,
         state.base_lengths,
+        state.integral,
         state.residual,
         ramp[None],
+        waited[None],
     )
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)
 
 
-def critic_observation(actor: jax.Array, state: ControlState, truth: TrueState, errors: jax.Array) -> jax.Array:
-    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors.
+def held_rotation_vectors(robot: Robot, command: jax.Array) -> jax.Array:
+    """(segments, 2) [rad] where a motor command (num_cables,) [m] would hold a perfect arm."""
+    return rotation_vectors(bends_from_cables(robot, command))
+
+
+def critic_observation(
+    actor: jax.Array, state: ControlState, truth: TrueState, errors: jax.Array, advice: jax.Array
+) -> jax.Array:
+    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; the advice.
 
     Joint velocities are left out, as in the paper: they jitter in MJX.
     """
@@ -87,5 +105,6 @@ def critic_observation(actor: jax.Array, state: ControlState, truth: TrueState, 
         truth.pose - state.target,
         errors,
         state.initial_errors,
+        advice,
     )
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qjrl.artifacts import append_json_line
 from qjrl.config import ConfigError, Range
+from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnvironment
-from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, arrives_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
@@ -24,7 +24,6 @@ from qjrl.learning.ppo.train import train
 from qjrl.learning.tensorboard import tensorboard
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
@@ -42,14 +41,14 @@ BARE_RATES = "bare_rates.jsonl"
 class PolicyConfig:
     """Group `policy`."""
 
-    base: Literal["learned", "nominal"] = "learned"
-    """Whose commands the residual is added to."""
-    engine: Literal["simulation", "minimal"] = "simulation"
+    base: Base = "dither"
+    """What the residual is added to."""
+    engine: Literal["simulation", "minimal"] = "minimal"
     """What the policy trains in: the engine of group `simulation`, or the arm's own equations in minimal coordinates, which
-    are several times quicker on a CPU. It is judged in the engine of `simulation`."""
+    are several times quicker on a CPU. Stage `compare` judges it in the engine of `simulation`."""
     num_envs: Annotated[int, Range(2, 1_000_000)] = 512
     """Arms stepped together; the paper has 2048 on a GPU."""
-    num_judged: Annotated[int, Range(1, 100_000)] = 32
+    num_judged: Annotated[int, Range(1, 100_000)] = 128
     """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
     tensorboard: bool = False
     """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
@@ -76,7 +75,7 @@ def train_policy(
     Raises:
         ConfigError: the bank has too few targets.
     """
-    in_time = arrives_in_time(robot, config.environment, targets[f"{config.base}_lengths"])
+    in_time = arrives_in_time(robot, config.environment, targets[command_column(config.base)])
     rows = [np.flatnonzero((targets["target_set"] == index) & in_time) for index in range(len(TARGET_SETS))]
     for name, found in zip(TARGET_SETS, rows, strict=True):
         if len(found) <= config.num_judged:
@@ -85,16 +84,12 @@ def train_policy(
             )
     trained_on = np.concatenate([found[: -config.num_judged] for found in rows])
     judged = np.concatenate([found[-config.num_judged :] for found in rows])
-    judge_stepper = make_stepper(robot, len(judged), simulation)
-    judge = Judge(robot, config.environment, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
-    stepper = (
-        MinimalStepper(robot, config.num_envs, num_threads=simulation.num_threads)
-        if config.engine == "minimal"
-        else make_stepper(robot, config.num_envs, simulation)
-    )
-    environment = ResidualEnvironment(
-        robot, config.environment, bank_of(targets, config.base, trained_on), stepper, seed
-    )
+    of_base = environment_of(config.environment, config.base)
+    is_minimal = config.engine == "minimal"
+    judge_stepper = make_stepper(robot, len(judged), simulation, is_minimal)
+    judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
+    stepper = make_stepper(robot, config.num_envs, simulation, is_minimal)
+    environment = ResidualEnvironment(robot, of_base, bank_of(targets, config.base, trained_on), stepper, seed)
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     with ExitStack() as stack:
         callbacks = [_bare_rates(environment, directory / BARE_RATES)]
@@ -103,11 +98,6 @@ def train_policy(
         policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
     left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
     return TrainedPolicy(policy, left_out)
-
-
-def bank_of(targets: Arrays, base: str, rows: np.ndarray) -> Bank:
-    """Targets and base commands ("learned" or "nominal") of some rows of a target bank."""
-    return Bank(jnp.asarray(targets["target"][rows]), jnp.asarray(targets[f"{base}_lengths"][rows]))
 
 
 def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:

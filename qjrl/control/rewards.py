@@ -13,9 +13,9 @@ from qjrl.config import Range
 class RewardConfig:
     """Weights and scales; all ours."""
 
-    position_scale: Annotated[float, Range(above=0.0)] = 0.002
+    position_scale: Annotated[float, Range(above=0.0)] = 0.0005
     """Position error at which the position term has fallen to 1/e [m]."""
-    orientation_scale: Annotated[float, Range(above=0.0)] = 0.01
+    orientation_scale: Annotated[float, Range(above=0.0)] = 0.003
     """Orientation error at which the orientation term has fallen to 1/e [rad]."""
     orientation_weight: Annotated[float, Range(low=0.0)] = 0.5
     """Of the orientation term; the position term's is 1."""

@@ -2,8 +2,9 @@
 
 Each joint's encoders measure its bend as a rotation vector theta (cos phi, sin phi) with white noise. The joints of a
 segment bend alike, so their mean is the segment's estimate (our reading of the paper's "estimated bend angle and
-direction for each segment, derived via polynomial fitting"). The memory holds exponential means at several time
-constants, which carry what 25 raw frames would.
+direction for each segment, derived via polynomial fitting"). The memory holds means of the readings' deviation from
+where the command would hold a perfect arm: it changes slowly while the command moves, so that it can be averaged for
+seconds, as the noise demands. Three means are exponential; the fourth is over all readings since the arm has arrived.
 """
 
 import math
@@ -15,8 +16,11 @@ from qjrl.geometry.rotations import safe_norm
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import bend_angle
 
-# Time constants of the memory [s]; at 50 Hz they average about 5, 17 and 50 frames.
-TIME_CONSTANTS = (0.05, 0.17, 0.5)
+# Time constants of the memory [s]; at 50 Hz they average about 10, 40 and 160 frames.
+TIME_CONSTANTS = (0.1, 0.4, 1.6)
+# ... beside them a plain mean of all since this long after the arm has arrived [s].
+SETTLING = 0.4
+MEMORY_SIZE = len(TIME_CONSTANTS) + 1
 
 
 def rotation_vectors(bends: jax.Array) -> jax.Array:
@@ -39,7 +43,13 @@ def read_encoders(arm: QuaternionArm, bends: jax.Array, noise_deg: float, key: j
     return rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
 
 
-def remember(memory: jax.Array, reading: jax.Array, period: float) -> jax.Array:
-    """Exponential means (constants, segments, 2) one control period [s] later."""
-    weights = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
-    return memory + weights[:, None, None] * (reading - memory)
+def remember(memory: jax.Array, deviation: jax.Array, waited: jax.Array, period: float) -> jax.Array:
+    """The memory (MEMORY_SIZE, segments, 2) one control period [s] later.
+
+    Args:
+        waited: time [s] since the base command is ramped in; the last mean begins `SETTLING` later.
+    """
+    exponential = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
+    plain = period / (jnp.maximum(waited - SETTLING, 0.0) + period)
+    weights = jnp.concatenate([exponential, plain[None]])
+    return memory + weights[:, None, None] * (deviation - memory)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from qjrl.geometry.rotations import geodesic_angle, orthonormalise, safe_norm
+from qjrl.geometry.rotations import geodesic_angle, orthonormalise, rotation_vector, safe_norm
 
 
 def pose_from_frame(position: Float[Array, "3"], rotation: Float[Array, "3 3"]) -> Float[Array, "9"]:
@@ -31,6 +31,12 @@ def position_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[
 def orientation_error(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[Array, ""]:
     """Geodesic angle between two orientations [rad]."""
     return geodesic_angle(rotation_of(pose), rotation_of(target))
+
+
+def pose_difference(pose: Float[Array, "9"], target: Float[Array, "9"]) -> Float[Array, "6"]:
+    """What a pose lacks of a target: the shift [m], then the rotation vector [rad], both in the base frame."""
+    turn = rotation_of(target) @ rotation_of(pose).T
+    return jnp.concatenate([position_of(target) - position_of(pose), rotation_vector(turn)])
 
 
 def row_errors(

@@ -40,6 +40,15 @@ def geodesic_angle(rotation_a: Float[Array, "3 3"], rotation_b: Float[Array, "3 
     return jnp.arctan2(twice_sine, jnp.trace(relative) - 1.0)
 
 
+def rotation_vector(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Axis times angle [rad] of a rotation; smooth at none, and undefined at half a turn."""
+    twice_sine = _vee(rotation - rotation.T)
+    sine = safe_norm(twice_sine) / 2.0
+    angle = jnp.arctan2(sine, (jnp.trace(rotation) - 1.0) / 2.0)
+    ratio = jnp.where(sine > 1e-6, angle / jnp.maximum(sine, 1e-6), 1.0)
+    return twice_sine * ratio / 2.0
+
+
 def orthonormalise(columns: Float[Array, "2 3"]) -> Float[Array, "3 3"]:
     """Rotation whose first columns are nearest (Gram-Schmidt) to two given 3-vectors.
 

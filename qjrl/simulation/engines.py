@@ -1,12 +1,15 @@
-"""The engine of `simulation.backend`, as a stepper."""
+"""The engine of a configuration, as a stepper."""
 
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper, Stepper
 
 
-def make_stepper(robot: Robot, num_sims: int, config: SettleConfig) -> Stepper:
-    """`num_sims` simulations on the engine that `config` names; MJX is imported when it is asked for."""
+def make_stepper(robot: Robot, num_sims: int, config: SettleConfig, is_minimal: bool = False) -> Stepper:
+    """`num_sims` simulations on the engine that `config` names, or in minimal coordinates; MJX is imported when asked for."""
+    if is_minimal:
+        return MinimalStepper(robot, num_sims, num_threads=config.num_threads)
     if config.backend == "mjx":
         from qjrl.simulation.mjx_stepping import MjxStepper
 

@@ -13,7 +13,8 @@ from qjrl.analysis.controllers.outcomes import Outcome, controller_label
 from qjrl.analysis.report import Report, write_report
 from qjrl.analysis.report_html import Number
 from qjrl.analysis.tables import as_text
-from qjrl.control.comparison import BASE_CONTROLLERS, compare_controllers, residual_name
+from qjrl.control.bases import BASES, controller_name
+from qjrl.control.comparison import compare_controllers
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
@@ -39,7 +40,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot = robot_from_mapping(config.robot)
     targets = artifacts.load(inputs["ik"] / "held_out.npz")
     policy = load_policy(inputs["policy"] / "policy")
-    total = 3 * len(targets["target"]) * config.policy.environment.episode_steps
+    total = (len(BASES) + 1) * len(targets["target"]) * config.policy.environment.episode_steps
     with progress.track(total, "comparing controllers") as advance:
         judged = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
     outcomes = [
@@ -69,7 +70,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
 
 def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures.Verdict:
     """The verdict in words; a policy that is its own base is not praised for being as good."""
-    verdict = measures.judge_residual(outcomes, residual_name(config.policy), BASE_CONTROLLERS[config.policy.base])
+    verdict = measures.judge_residual(
+        outcomes, controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
+    )
     if trained["kept_env_steps"] > 0:
         return verdict
     return dataclasses.replace(verdict, holds=None, headline=_UNTRAINED)

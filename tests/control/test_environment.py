@@ -17,9 +17,13 @@ from worlds import (
 
 from qjrl.config import ConfigError, build
 from qjrl.control import motors
+from qjrl.control.bases import BASES, environment_of
 from qjrl.control.episode import EnvironmentConfig
+from qjrl.control.motors import DitherConfig
 from qjrl.control.observations import ACTION_HISTORY
 from qjrl.control.policy_training import acting
+from qjrl.control.sensors import MEMORY_SIZE
+from qjrl.control.tip_correction import IntegralConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv
 from qjrl.learning.ppo.iteration import compile_functions
@@ -101,6 +105,21 @@ def test_the_physics_holds_the_strands_of_the_command(judged):
     np.testing.assert_array_equal(judged._stepper._batch.ctrl, held)
 
 
+def test_only_the_bases_that_have_them_dither_and_feed_back(judged):
+    """The motors' commands, once arrived: exact, dithering about the answer, or drifting by what the encoders say."""
+    config = dataclasses.replace(CONFIG, integral=IntegralConfig(gain=20.0), dither=DitherConfig(0.0005, 0.05, 0.04))
+    nothing = lambda seen: np.zeros((len(seen), ARM.num_cables))  # noqa: E731
+    moves = {}
+    for base in BASES:
+        one = environment(rows=np.arange(NUM_ENVS), config=environment_of(config, base))
+        commands, _ = commands_of_an_episode(one, nothing)
+        moves[base] = commands - np.asarray(bank().base_lengths)[:NUM_ENVS]
+    shortest = int(np.ceil(max(float(motors.ramp_time(ARM, row)) for row in bank().base_lengths[:NUM_ENVS]) / PERIOD))
+    arrived = {base: np.abs(move[shortest:]).max() for base, move in moves.items()}
+    assert arrived["nominal"] == arrived["learned"] == 0.0
+    assert 1e-4 < arrived["dither"] <= 5e-4 and arrived["integral"] > 1e-5
+
+
 def test_episodes_end_by_the_time_limit_alone(judged):
     judged.reset()
     for step in range(1, 2 * CONFIG.episode_steps + 1):
@@ -138,8 +157,8 @@ def test_the_actors_memory_of_its_actions_is_newest_first(judged):
     judged.reset()
     actions = random_actions(5)
     transition = [judged.step(action) for action in actions][-1]
-    sizes = ARM.num_cables  # base bends, reading, memory (3), pose error come first
-    start = 2 * ARM.num_segments * (1 + 1 + 3) + 9
+    sizes = ARM.num_cables  # base bends, deviations now and remembered, and what the tip lacks come first
+    start = 2 * ARM.num_segments * (1 + 1 + MEMORY_SIZE) + 6 * (1 + MEMORY_SIZE)
     seen = transition.observation[ACTOR_KEY][:, start : start + ACTION_HISTORY * sizes]
     expected = np.concatenate([actions[-1], actions[-2], actions[-3], actions[-4]], axis=1)
     np.testing.assert_array_equal(seen, expected)

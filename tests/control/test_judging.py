@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from worlds import ARM, CONFIG, NUM_ENVS, bank, judged_environment, random_actions
 
+from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.episode import Bank
 from qjrl.control.judging import Judge, arrives_in_time, do_nothing
@@ -163,12 +164,15 @@ def policy_that(bias):
 
 @pytest.fixture(scope="module")
 def compared():
-    config = PolicyConfig(environment=CONFIG)
+    config = PolicyConfig(base="learned", environment=CONFIG)
     return compare_controllers(ARM, SettleConfig(), config, policy_that(0.0), columns(), seed=3)
 
 
 def test_all_controllers_are_compared_on_both_sets_and_the_same_rows(compared):
-    assert set(compared) == {(s, c) for s in TARGET_SETS for c in ("nominal", "learned_ik", "learned_ik+residual")}
+    names = [controller_name(base) for base in BASES] + ["learned_ik+residual"]
+    assert len(set(names)) == 6 and set(compared) == {
+        (target_set, name) for target_set in TARGET_SETS for name in names
+    }
     assert {len(judgement.position_error) for judgement, _ in compared.values()} == {3}
     assert {left_out for _, left_out in compared.values()} == {1}
 
@@ -176,12 +180,13 @@ def test_all_controllers_are_compared_on_both_sets_and_the_same_rows(compared):
 def test_a_policy_that_does_nothing_equals_its_base_bit_for_bit(compared):
     for target_set in TARGET_SETS:
         assert_same_judgement(compared[target_set, "learned_ik+residual"][0], compared[target_set, "learned_ik"][0])
-        # The two bases of these columns are the same where they are in time.
+        # The bases of these columns are the same where they are in time, and this environment has no feedback.
         assert_same_judgement(compared[target_set, "nominal"][0], compared[target_set, "learned_ik"][0])
+        assert_same_judgement(compared[target_set, "learned_ik+integral"][0], compared[target_set, "learned_ik"][0])
 
 
 def test_a_policy_that_drives_away_shows(compared):
-    config = PolicyConfig(environment=CONFIG)
+    config = PolicyConfig(base="learned", environment=CONFIG)
     found = compare_controllers(ARM, SettleConfig(), config, policy_that(3.0), columns(), seed=3)
     for target_set in TARGET_SETS:
         assert_same_judgement(found[target_set, "nominal"][0], compared[target_set, "nominal"][0])

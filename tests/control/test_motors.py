@@ -45,10 +45,10 @@ def test_the_longest_cable_sets_the_ramps_duration():
 
 def test_the_residual_by_hand_numbers():
     config = motors.ResidualConfig(rate=0.01, bound=0.0005)
-    residual = jnp.array([0.0, 0.0, 0.0, 0.0004, -0.0005])
-    action = jnp.array([0.0, 0.5, -1.0, 1.0, -7.0])
+    residual = jnp.array([0.0, 0.0, 0.0004, -0.0005, 0.0005])
+    action = jnp.array([0.0, 0.2, 1.0, 7.0, -7.0])
     moved = motors.move_residual(config, residual, action, PERIOD)
-    np.testing.assert_allclose(moved, [0.0, 0.0001, -0.0002, 0.0005, -0.0005], atol=1e-18)
+    np.testing.assert_allclose(moved, [0.0, 0.0001, 0.0005, -0.0003, 0.0003], atol=1e-18)
 
 
 def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
@@ -64,10 +64,21 @@ def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
     assert float(jnp.max(residual)) == config.bound
 
 
-def test_a_residual_at_rest_stays_exactly_where_it_is():
-    config = motors.ResidualConfig(bound=0.01)
-    residual = jnp.array([0.003, -0.007, 0.01])
-    np.testing.assert_array_equal(motors.move_residual(config, residual, jnp.zeros(3), PERIOD), residual)
+def test_the_residual_reaches_the_actions_offset_and_stays_there():
+    config = motors.ResidualConfig(bound=0.001, rate=0.01)
+    action, residual = jnp.array([0.5, -1.0, 0.0]), jnp.zeros(3)
+    for _ in range(10):
+        residual = motors.move_residual(config, residual, action, PERIOD)
+    np.testing.assert_allclose(residual, 0.001 * action, atol=1e-18)
+    np.testing.assert_array_equal(motors.move_residual(config, residual, action, PERIOD), residual)
+
+
+def test_a_residual_of_the_tip_is_six_numbers_and_one_of_the_cables_as_many_as_they_are():
+    arm, correction = arm_named("qj_2222"), jnp.arange(48.0).reshape(8, 6)
+    tip, cables = motors.ResidualConfig(space="tip"), motors.ResidualConfig(space="cables")
+    assert (motors.action_size(tip, arm), motors.action_size(cables, arm)) == (6, 8)
+    np.testing.assert_allclose(motors.residual_lengths(tip, jnp.eye(6)[2], correction), correction[:, 2])
+    np.testing.assert_array_equal(motors.residual_lengths(cables, jnp.ones(8), correction), np.ones(8))
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -89,6 +100,30 @@ def test_base_and_residual_together_never_exceed_the_motors_speed(name):
     assert steps.max() <= arm.motor_speed * PERIOD * (1 + 1e-12)
     assert np.abs(commands - desired).max() > 1e-3  # the limiter did bind
     np.testing.assert_allclose(commands[-1], base + config.bound * action, atol=1e-12)  # and nothing was lost by it
+
+
+def test_the_dither_swings_first_against_the_way_the_cables_came_and_dies_away():
+    config, base = motors.DitherConfig(amplitude=0.001, decay=0.2, half_period=0.04), jnp.array([0.03, -0.02, 0.0])
+    times = jnp.array([-0.01, 0.0, 0.02, 0.04, 0.08, 2.0])
+    added = jax.vmap(lambda time: motors.dither(config, base, time))(times)
+    size = 0.001 * np.exp(-np.asarray(times) / 0.2)
+    sign = np.array([0.0, -1.0, -1.0, 1.0, -1.0, -1.0])
+    np.testing.assert_allclose(added, (sign * size)[:, None] * np.array([1.0, -1.0, 0.0]), atol=1e-15)
+    assert np.abs(added[-1]).max() < 1e-7
+
+
+def test_the_default_dither_is_within_the_motors_speed():
+    arm, config = arm_named("qj_2222"), motors.DitherConfig()
+    swing = config.amplitude * (1.0 + np.exp(-config.half_period / config.decay))
+    assert swing <= arm.motor_speed * config.half_period
+
+
+def test_the_advised_action_takes_the_residual_to_where_nothing_lacks():
+    config = motors.ResidualConfig(bound=0.002, rate=1.0)
+    residual, lacking = jnp.array([5e-4, 0, 0, 0, 0, 0]), jnp.array([3e-4, -1e-4, 0, 0, 1e-5, 0])
+    action = motors.advised_action(config, residual, lacking, jnp.zeros((8, 6)))
+    np.testing.assert_allclose(motors.move_residual(config, residual, action, PERIOD), residual + lacking, atol=1e-15)
+    assert float(motors.advised_action(config, residual, 100 * lacking, jnp.zeros((8, 6))).max()) == 1.0
 
 
 def test_a_command_within_reach_is_reached_in_one_period():

@@ -23,7 +23,7 @@ PPO = PPOConfig(
     critic_layers=(16,),
     checkpoint_every=2,
 )
-POLICY = PolicyConfig(num_envs=NUM_ENVS, num_judged=1, environment=CONFIG, ppo=PPO)
+POLICY = PolicyConfig(engine="simulation", num_envs=NUM_ENVS, num_judged=1, environment=CONFIG, ppo=PPO)
 
 
 def columns():

@@ -5,6 +5,8 @@ import pytest
 from arms import arm_named, random_bends
 
 from qjrl.control.sensors import (
+    MEMORY_SIZE,
+    SETTLING,
     TIME_CONSTANTS,
     bends_of_rotation_vectors,
     read_encoders,
@@ -59,19 +61,30 @@ def test_without_noise_the_encoders_read_the_truth():
 
 
 def test_the_memory_weighs_a_reading_by_its_age():
-    """Each mean is a sum over past readings, exp(-age/tau) of the newest's weight 1 - exp(-period/tau)."""
+    """Each exponential mean is a sum over past readings, exp(-age/tau) of the newest's weight 1 - exp(-period/tau)."""
     period, count = 0.02, 40
     readings = np.random.default_rng(0).normal(size=(count, 2, 2))
-    memory = jnp.zeros((len(TIME_CONSTANTS), 2, 2))
+    memory = jnp.zeros((MEMORY_SIZE, 2, 2))
     for reading in readings:
-        memory = remember(memory, jnp.asarray(reading), period)
+        memory = remember(memory, jnp.asarray(reading), jnp.zeros(()), period)
     ages = np.arange(count)[::-1] * period
-    for constant, mean in zip(TIME_CONSTANTS, memory, strict=True):
+    for constant, mean in zip(TIME_CONSTANTS, memory, strict=False):
         weights = (1.0 - np.exp(-period / constant)) * np.exp(-ages / constant)
-        np.testing.assert_allclose(mean, np.tensordot(weights, readings, 1), atol=1e-12)
+        np.testing.assert_allclose(mean, np.einsum("t,tij->ij", weights, readings), atol=1e-6)
+
+
+def test_the_last_mean_is_the_plain_one_of_all_readings_since_the_arm_has_settled():
+    period, count = 0.02, 30
+    readings = np.random.default_rng(1).normal(size=(count, 2, 2))
+    memory = jnp.full((MEMORY_SIZE, 2, 2), 7.0)
+    for step, reading in enumerate(readings):
+        waited = max((step - 10) * period, 0.0)  # arrives at step 10, settled five steps later
+        memory = remember(memory, jnp.asarray(reading), jnp.asarray(waited), period)
+    assert pytest.approx(5 * period) == SETTLING
+    np.testing.assert_allclose(memory[-1], readings[15:].mean(axis=0), atol=1e-6)
 
 
 def test_the_memory_of_what_never_changes_is_that():
-    reading = jnp.array([[0.3, -0.2], [0.0, 1.0]])
-    memory = jnp.broadcast_to(reading, (len(TIME_CONSTANTS), 2, 2))
-    np.testing.assert_array_equal(remember(memory, reading, 0.02), memory)
+    reading = jnp.array([[0.1, -0.2], [0.3, 0.0]])
+    memory = jnp.broadcast_to(reading, (MEMORY_SIZE, 2, 2))
+    np.testing.assert_array_equal(remember(memory, reading, jnp.asarray(1.0), 0.02), memory)

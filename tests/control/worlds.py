@@ -8,12 +8,21 @@ from arms import arm_named, over_rows, random_bends
 
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.motors import DitherConfig, ResidualConfig
+from qjrl.control.tip_correction import IntegralConfig
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation.stepping import MujocoStepper
 
 ARM = arm_named("qj_22")
 NUM_ENVS = 4
-CONFIG = EnvironmentConfig(episode_steps=24, latest_arrival=0.4, scored_time=0.06)
+CONFIG = EnvironmentConfig(
+    episode_steps=24,
+    latest_arrival=0.4,
+    scored_time=0.06,
+    dither=DitherConfig(amplitude=0.0),
+    integral=IntegralConfig(gain=0.0),
+    residual=ResidualConfig(space="cables", bound=0.003, rate=0.01),
+)
 
 
 def bank(count=8, seed=0, share=0.15):

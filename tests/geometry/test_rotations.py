@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from qjrl.geometry.rotations import (
     geodesic_angle,
     is_rotation,
     orthonormalise,
+    rotation_vector,
     rotation_x,
     rotation_y,
     rotation_z,
@@ -18,6 +20,7 @@ from qjrl.geometry.rotations import (
 ANGLES = st.floats(-np.pi, np.pi)
 rotation_xyz = jax.jit(lambda a, b, c: rotation_x(a) @ rotation_y(b) @ rotation_z(c))
 angle_between = jax.jit(geodesic_angle)
+vector_of = jax.jit(rotation_vector)
 
 
 @pytest.mark.parametrize(("rotation", "axis"), [(rotation_x, 0), (rotation_y, 1), (rotation_z, 2)])
@@ -77,3 +80,17 @@ def test_orthonormalising_degenerate_columns_stays_finite():
     for columns in (jnp.zeros((2, 3)), jnp.ones((2, 3))):
         assert np.isfinite(orthonormalise(columns)).all()
         assert np.isfinite(jax.grad(lambda c: orthonormalise(c).sum())(columns)).all()
+
+
+@settings(max_examples=30)
+@given(st.floats(0.0, 3.0), ANGLES, st.floats(-1.0, 1.0))
+def test_the_rotation_vector_is_axis_times_angle(angle, longitude, height):
+    radius = np.sqrt(1.0 - height**2)
+    vector = angle * np.array([radius * np.cos(longitude), radius * np.sin(longitude), height])
+    np.testing.assert_allclose(vector_of(Rotation.from_rotvec(vector).as_matrix()), vector, atol=1e-7)
+
+
+def test_the_rotation_vector_is_smooth_at_no_turn():
+    np.testing.assert_array_equal(rotation_vector(jnp.eye(3)), np.zeros(3))
+    slope = jax.jacobian(lambda angle: rotation_vector(rotation_z(angle)))(jnp.asarray(0.0))
+    np.testing.assert_allclose(slope, [0.0, 0.0, 1.0], atol=1e-12)

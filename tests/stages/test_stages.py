@@ -28,7 +28,10 @@ from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
 from qjrl.stages import accuracy, open_loop
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
-CONTROLLERS = {"nominal", "learned_ik", "learned_ik+residual"}
+CONTROLLERS = {
+    "nominal", "learned_ik", "learned_ik+integral", "learned_ik+dither", "learned_ik+dither+integral",
+    "learned_ik+dither+residual",
+}  # fmt: skip
 CONFIGS = {
     "simulation": SettleConfig(batch_size=32),
     "sample": SampleConfig(num_samples=40, shard_size=16),

@@ -9,8 +9,14 @@ CONTROLLER_LABELS = {
     "least_squares": "least squares, closed form",
     "nominal": "nominal closed form",
     "learned_ik": "learned IK",
+    "learned_ik+integral": "learned IK + integral",
+    "learned_ik+dither": "learned IK + dither",
+    "learned_ik+dither+integral": "learned IK + dither + integral",
     "nominal+residual": "nominal + residual",
     "learned_ik+residual": "learned IK + residual",
+    "learned_ik+integral+residual": "learned IK + integral + residual",
+    "learned_ik+dither+residual": "learned IK + dither + residual",
+    "learned_ik+dither+integral+residual": "learned IK + dither + integral + residual",
 }
 
 TARGET_SET_LABELS = {"uniform": "uniform bends", "near_home": "near home"}

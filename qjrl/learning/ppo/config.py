@@ -4,6 +4,7 @@ import dataclasses
 from typing import Annotated, Literal
 
 from qjrl.config import Range
+from qjrl.learning.ppo.imitation import ImitationConfig
 
 Width = Annotated[int, Range(1, 8192)]
 
@@ -26,6 +27,10 @@ class PPOConfig:
     """Between one-step (0) and Monte-Carlo (1) advantages."""
     reward_scaling: Annotated[float, Range(above=0)] = 1.0
     """Factor on rewards inside the learner; the log shows unscaled rewards."""
+    imitation: ImitationConfig = ImitationConfig()
+    """What comes before PPO; the first iteration."""
+    critic_warmup: Annotated[int, Range(0)] = 0
+    """Iterations after an imitation in which the critic alone learns, so that it knows the actor before it judges it."""
     clipping: Annotated[float, Range(above=0, high=1)] = 0.2
     """Allowed relative change of an action's probability in one update."""
     entropy_cost: Annotated[float, Range(0)] = 1e-3

@@ -7,10 +7,18 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 Observation = Mapping[str, Any]
-"""`state` (num_envs, n) for the actor and `privileged_state` (num_envs, m) for the critic, float32, numpy or jax."""
+"""`state` (num_envs, n) for the actor and `privileged_state` (num_envs, m) for the critic, float32, numpy or jax.
+
+An environment that knows what would have been best, since it knows more than the actor may, ends `privileged_state` with
+that action (see `advice_of`)."""
 
 ACTOR_KEY = "state"
 CRITIC_KEY = "privileged_state"
+
+
+def advice_of(observation: Observation, action_size: int) -> Any:
+    """(..., action_size) the advised action in [-1, 1], with which `privileged_state` ends if the environment gives advice."""
+    return observation[CRITIC_KEY][..., -action_size:]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +52,8 @@ class VectorEnv(Protocol):
     action_size: int
     observation_sizes: dict[str, int]
     """{"state": n, "privileged_state": m}."""
+    gives_advice: bool
+    """Whether `privileged_state` ends with an advised action."""
 
     def reset(self) -> Observation:
         """Starts every copy afresh."""

@@ -14,10 +14,12 @@ import numpy as np
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
+from qjrl.learning.ppo.episodes import EpisodeLog
+from qjrl.learning.ppo.imitation import imitate
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
 from qjrl.learning.ppo.normaliser import update_normaliser
 from qjrl.learning.ppo.rollout import Collected, Rollout, collect, make_act
-from qjrl.learning.ppo.training_state import Session, TrainingState
+from qjrl.learning.ppo.training_state import Session, TrainingState, policy_of
 from qjrl.learning.ppo.update import make_update
 
 Record = dict[str, Any]
@@ -81,6 +83,29 @@ def run_iteration(
     return session, counts | record | times
 
 
+def run_imitation(session: Session, config: PPOConfig, seed: int) -> tuple[Session, Record]:
+    """The first iteration where there is an imitation: the session after it, and its record for the log."""
+    start, state = time.perf_counter(), session.state
+    found = imitate(session.environment, config.imitation, policy_of(state, config), session.observation, seed)
+    parameters = state.learner.parameters | {"policy": {"params": jax.tree.map(jnp.asarray, found.layers)}}
+    state = dataclasses.replace(
+        state,
+        learner=dataclasses.replace(state.learner, parameters=parameters),
+        normaliser=found.normaliser,
+        iteration=state.iteration + jnp.int32(1),
+        env_steps=state.env_steps + jnp.uint32(found.env_steps),
+    )
+    record = {
+        "iteration": int(state.iteration),
+        "env_steps": int(state.env_steps),
+        "imitation_loss": found.loss,
+        "imitation_seconds": round(time.perf_counter() - start, 2),
+    }
+    state = jax.device_put(state, jax.local_devices()[0])
+    episodes = EpisodeLog(session.environment.num_envs)
+    return dataclasses.replace(session, state=state, observation=found.observation, episodes=episodes), record
+
+
 def _collect(session: Session, compiled: Compiled, config: PPOConfig, key: jax.Array) -> Collected:
     state = session.state
     parameters = state.learner.parameters["policy"]
@@ -113,7 +138,8 @@ def _learn(
     if config.learning_rate_schedule == "linear":
         rate = config.learning_rate * (1 - int(state.iteration) / num_iterations)
         learner = dataclasses.replace(learner, learning_rate=jnp.float32(rate))
-    learner, losses = compiled.update(learner, normaliser, rollout, final_values, key)
+    moves_actor = jnp.bool_(config.imitation.rounds == 0 or int(state.iteration) > config.critic_warmup)
+    learner, losses = compiled.update(learner, normaliser, rollout, final_values, key, moves_actor)
     state = dataclasses.replace(
         state,
         learner=learner,

@@ -11,7 +11,7 @@ from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.iteration import Compiled, Record, compile_functions, run_iteration
+from qjrl.learning.ppo.iteration import Compiled, Record, compile_functions, run_imitation, run_iteration
 from qjrl.learning.ppo.policy import Policy, load_policy, save_policy
 from qjrl.learning.ppo.training_state import Session, initial_state, policy_of, restore_session, save_session
 
@@ -68,20 +68,29 @@ def train(
             keep(session, {"iteration": 0, "env_steps": 0})
         with progress.track(num_iterations * per_iteration, "policy", already=done * per_iteration) as advance:
             for iteration in range(done + 1, num_iterations + 1):
-                session, record = run_iteration(session, compiled, config, num_iterations)
-                due = iteration % config.checkpoint_every == 0 or iteration == num_iterations
+                is_imitation = iteration == 1 and config.imitation.rounds > 0
+                if is_imitation:
+                    session, record = run_imitation(session, config, seed)
+                else:
+                    session, record = run_iteration(session, compiled, config, num_iterations)
+                due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == num_iterations
                 keep(session, record) if due else write(record)
                 advance(per_iteration, note=_note(record))
     return load_policy(directory / POLICY)
 
 
 def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:
-    """Environment steps of one iteration, and number of iterations."""
+    """Environment steps of one iteration of PPO, and number of iterations, an imitation being the first."""
+    imitates = config.imitation.rounds > 0
+    if imitates and not environment.gives_advice:
+        raise ValueError(
+            f"imitation.rounds: got {config.imitation.rounds}, allowed: 0, this environment gives no advice"
+        )
     per_iteration = config.unroll_length * environment.num_envs
     if per_iteration < config.num_minibatches:
         steps = f"unroll_length {config.unroll_length} x {environment.num_envs} environments"
         raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
-    return per_iteration, -(-config.num_steps // per_iteration)
+    return per_iteration, imitates - (-config.num_steps // per_iteration)
 
 
 def _begin(

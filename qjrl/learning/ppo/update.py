@@ -34,13 +34,18 @@ def make_learner(config: PPOConfig, parameters: dict[str, Any]) -> Learner:
 
 
 def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple[Learner, dict[str, jax.Array]]]:
-    """The compiled update: (learner, normaliser, rollout, final values, key) -> (learner, metrics).
+    """The compiled update: (learner, normaliser, rollout, final values, key, moves actor) -> (learner, metrics).
 
-    The learner that goes in is consumed.
+    The learner that goes in is consumed. Where the actor is not moved, the critic alone learns.
     """
 
     def update(
-        learner: Learner, normaliser: Normaliser, rollout: Rollout, final_values: jax.Array, key: jax.Array
+        learner: Learner,
+        normaliser: Normaliser,
+        rollout: Rollout,
+        final_values: jax.Array,
+        key: jax.Array,
+        moves_actor: jax.Array,
     ) -> tuple[Learner, dict[str, jax.Array]]:
         batch, batch_metrics = _batch(networks, config, learner.parameters, normaliser, rollout, final_values)
         key_order, key_entropy = jax.random.split(key)
@@ -53,6 +58,7 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
             gradient, metrics = jax.grad(ppo_loss, has_aux=True)(
                 learner.parameters, normaliser, minibatch, key, networks, config
             )
+            gradient["policy"] = jax.tree.map(lambda leaf: jnp.where(moves_actor, leaf, 0), gradient["policy"])
             return gradient_step(config, learner, gradient), metrics
 
         learner, metrics = jax.lax.scan(step, learner, (order, keys))
@@ -60,7 +66,8 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
         means = {name: jnp.mean(values) for name, values in metrics.items()}
         means |= batch_metrics | {"kl": kl, "learning_rate": learner.learning_rate}
         if config.learning_rate_schedule == "adaptive_kl":
-            learner = dataclasses.replace(learner, learning_rate=adapted_rate(config, learner.learning_rate, kl))
+            adapted = adapted_rate(config, learner.learning_rate, kl)
+            learner = dataclasses.replace(learner, learning_rate=jnp.where(moves_actor, adapted, learner.learning_rate))
         return learner, means
 
     return jax.jit(update, donate_argnums=0)

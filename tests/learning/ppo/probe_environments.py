@@ -43,6 +43,7 @@ class ProbeEnvironment:
 
     def __init__(self, observe: Callable[..., np.ndarray], reward: Reward, length: int = 1, truncates: bool = False):
         self.observation_sizes = {"state": 1, "privileged_state": 1}
+        self.gives_advice = False
         self.observe, self.reward, self.length, self.truncates = observe, reward, length, truncates
         self.count = self.time = 0
         self.seen = np.zeros(NUM_ENVS, np.float32)

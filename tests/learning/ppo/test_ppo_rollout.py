@@ -14,6 +14,7 @@ class Scripted:
 
     def __init__(self, truncated=(), terminated=(), invalid=(), broken=()):
         self.observation_sizes = {"state": 2, "privileged_state": 2}
+        self.gives_advice = False
         self.events = {"truncated": truncated, "terminated": terminated, "invalid": invalid, "broken": broken}
         self.steps = 0
         self.rows = np.array([[0, 0], [0, 1]], np.float32)

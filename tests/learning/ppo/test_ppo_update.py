@@ -42,11 +42,13 @@ def update():
     parameters = jax.jit(lambda key: initial_parameters(networks, 0.3, key))(jax.random.key(0))
     compiled = make_update(networks, CONFIG)
 
-    def run(rollout):
+    def run(rollout, moves_actor=True):
         learner = make_learner(CONFIG, jax.tree.map(jnp.copy, parameters))
         normaliser = jax.jit(update_normaliser)(initial_normaliser(SIZES), rollout.observation, rollout.valid)
         final_values = np.zeros((STEPS, ENVS), np.float32)
-        return *compiled(learner, normaliser, rollout, final_values, jax.random.key(1)), normaliser
+        return *compiled(
+            learner, normaliser, rollout, final_values, jax.random.key(1), jnp.bool_(moves_actor)
+        ), normaliser
 
     return run
 
@@ -69,6 +71,16 @@ def test_a_valid_row_changes_the_update(update):
     other = rollout()
     other.reward[4, 3] += 1
     assert not same_bits(update(rollout())[0], update(other)[0])
+
+
+def test_while_the_critic_warms_up_the_actor_stands_still_and_so_does_the_rate(update):
+    before, after = update(rollout())[0], update(rollout(), moves_actor=False)[0]
+    assert same_bits(before.parameters["value"], after.parameters["value"])
+    networks = make_networks(CONFIG, SIZES, ACTIONS)
+    untrained = jax.jit(lambda key: initial_parameters(networks, 0.3, key))(jax.random.key(0))
+    assert same_bits(after.parameters["policy"], untrained["policy"])
+    assert not same_bits(before.parameters["policy"], untrained["policy"])
+    assert float(after.learning_rate) == pytest.approx(CONFIG.learning_rate)
 
 
 def test_nothing_of_a_learner_is_float64(update):
