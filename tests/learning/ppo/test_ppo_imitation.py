@@ -1,4 +1,5 @@
 import dataclasses
+from typing import Any
 
 import jax
 import numpy as np
@@ -72,7 +73,8 @@ def test_the_actor_comes_to_do_what_is_advised_and_the_steps_are_counted():
     policy = untrained(environment)
     found = imitate(environment, IMITATION, policy, environment.reset(), seed=0)
     assert found.env_steps == 2 * 60 * NUM_ENVS == int(environment.key[0]) * NUM_ENVS
-    mean, std = (np.asarray(part["state"]) for part in (found.normaliser.mean, found.normaliser.std))
+    statistics: tuple[Any, Any] = (found.normaliser.mean, found.normaliser.std)
+    mean, std = (np.asarray(part["state"]) for part in statistics)
     taught = dataclasses.replace(policy, layers=found.layers, mean=mean, std=std)
     values = np.linspace(-0.9, 0.9, 19, dtype=np.float32)
     seen = np.stack([values, np.ones_like(values)], axis=1)
