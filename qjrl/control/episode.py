@@ -105,6 +105,8 @@ def begin(
         target=bank.target[row],
         base_lengths=bank.base_lengths[row],
         command=zeros,
+        course=zeros,
+        swing=zeros[0],
         correction=tip_correction.correction_matrix(robot, bank.base_lengths[row]),
         integral=zeros,
         residual=residual,
@@ -135,12 +137,16 @@ def command(config: EnvironmentConfig, robot: Robot, state: ControlState, action
     period = config.control_period
     residual = motors.move_residual(config.residual, state.residual, action, period)
     time = (state.step + 1) * period
-    shaken = motors.dither(config.dither, state.base_lengths, time - motors.ramp_time(robot, state.base_lengths))
-    added = shaken + state.integral + motors.residual_lengths(config.residual, residual, state.correction)
-    desired = motors.ramped_base(robot, state.base_lengths, time) + added
+    added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
+    course = motors.ramped_base(robot, state.base_lengths, time) + added
+    swing = motors.next_swing(config.dither, state.swing, course - state.course, period)
+    waited = time - motors.ramp_time(robot, state.base_lengths)
+    desired = course + motors.dither(config.dither, swing, state.base_lengths, waited)
     lengths = motors.limit_speed(robot, state.command, desired, period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
-    planned = dataclasses.replace(state, residual=residual, command=lengths, actions=actions)
+    planned = dataclasses.replace(
+        state, residual=residual, course=course, swing=swing, command=lengths, actions=actions
+    )
     return planned, strand_commands(robot, lengths)
 
 
@@ -188,7 +194,8 @@ def _remember(config: EnvironmentConfig, robot: Robot, state: ControlState) -> C
 def _observation(
     config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array
 ) -> dict[str, jax.Array]:
-    actor = actor_observation(robot, state, _ramp(config, robot, state), _waited(config, robot, state))
+    offset = motors.residual_lengths(config.residual, state.residual, state.correction)
+    actor = actor_observation(robot, state, offset, _ramp(config, robot, state), _waited(config, robot, state))
     advice = _advice(config, robot, state, truth)
     return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors, advice)}
 

@@ -1,6 +1,7 @@
 """From base command and residual to what the motors do: ramp, bounded residual, one speed limiter."""
 
 import dataclasses
+import math
 from typing import Annotated, Literal
 
 import jax
@@ -20,6 +21,8 @@ class ResidualConfig:
     """Offset [m] at an action of 1, of the tip or of a cable; an orientation counts with `LEVER`. The paper's is 0.020."""
     rate: Annotated[float, Range(above=0.0)] = 0.01
     """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step."""
+    lag: Annotated[float, Range(low=0.0)] = 0.3
+    """Time constant [s] with which the offset follows the action, ours: noise of the action hardly moves the cables."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -27,11 +30,14 @@ class DitherConfig:
     """Shaking off the friction: once the base command is ramped in, every motor swings about it, less and less.
 
     Dry friction holds a strand short of where its spring would let it rest, always against the way it came. Swings that
-    die away slowly leave it in the middle, as they leave a magnet without magnetisation.
+    die away slowly leave it in the middle, as they leave a magnet without magnetisation. Whatever moves the cables later,
+    feedback or a policy, brings friction back, so that the swings grow again by as much as the cables are moved.
     """
 
     amplitude: Annotated[float, Range(low=0.0)] = 0.0005
-    """First swing of a cable [m], ours; 0 switches it off."""
+    """Largest swing of a cable [m], ours: that after the ramp; 0 switches it off."""
+    growth: Annotated[float, Range(low=0.0)] = 0.5
+    """What the swings grow by for each metre that the cables are moved otherwise."""
     decay: Annotated[float, Range(above=0.0)] = 0.3
     """Time in which the swings fall to 1/e [s]."""
     half_period: Annotated[float, Range(above=0.0)] = 0.04
@@ -49,11 +55,17 @@ def ramped_base(robot: Robot, base_lengths: jax.Array, time: jax.Array) -> jax.A
     return base_lengths * jnp.minimum(time / duration, 1.0)
 
 
-def dither(config: DitherConfig, base_lengths: jax.Array, waited: jax.Array) -> jax.Array:
+def next_swing(config: DitherConfig, swing: jax.Array, moved: jax.Array, period: float) -> jax.Array:
+    """Swing [m] one control period [s] later, in which the cables (num_cables,) [m] were `moved` by all but the dither."""
+    grown = swing * math.exp(-period / config.decay) + config.growth * jnp.max(jnp.abs(moved))
+    return jnp.minimum(grown, config.amplitude)
+
+
+def dither(config: DitherConfig, swing: jax.Array, base_lengths: jax.Array, waited: jax.Array) -> jax.Array:
     """What the dither adds to the cables (num_cables,) [m] a time [s] after the ramp's end; first against the way they came."""
-    swings = jnp.floor(jnp.maximum(waited, 0.0) / config.half_period + 1e-6)
-    swing = config.amplitude * jnp.exp(-waited / config.decay) * jnp.where(swings % 2 == 0, -1.0, 1.0)
-    return jnp.where(waited >= 0.0, swing, 0.0) * jnp.sign(base_lengths)
+    reversals = jnp.floor(jnp.maximum(waited, 0.0) / config.half_period + 1e-6)
+    signed = jnp.where(reversals % 2 == 0, -swing, swing)
+    return jnp.where(waited >= 0.0, signed, 0.0) * jnp.sign(base_lengths)
 
 
 def action_size(config: ResidualConfig, robot: Robot) -> int:
@@ -62,9 +74,10 @@ def action_size(config: ResidualConfig, robot: Robot) -> int:
 
 
 def move_residual(config: ResidualConfig, residual: jax.Array, action: jax.Array, period: float) -> jax.Array:
-    """Residual (action_size,) [m] after one control period [s]: towards `bound` times the action, at most at `rate`."""
-    largest = config.rate * period
-    return residual + jnp.clip(config.bound * jnp.clip(action, -1.0, 1.0) - residual, -largest, largest)
+    """Residual (action_size,) [m] after one control period [s]: towards `bound` times the action, with `lag`, at most at `rate`."""
+    largest, share = config.rate * period, 1.0 - math.exp(-period / config.lag) if config.lag > 0.0 else 1.0
+    wanted = config.bound * jnp.clip(action, -1.0, 1.0)
+    return residual + jnp.clip(share * (wanted - residual), -largest, largest)
 
 
 def residual_lengths(config: ResidualConfig, residual: jax.Array, correction: jax.Array) -> jax.Array:

@@ -23,6 +23,10 @@ class ControlState:
     """(num_cables,) the base controller's answer [m]."""
     command: jax.Array
     """(num_cables,) what the motors hold now [m]."""
+    course: jax.Array
+    """(num_cables,) what they are wanted to hold, but for the dither [m]."""
+    swing: jax.Array
+    """What the dither swings by [m]."""
     correction: jax.Array
     """(num_cables, 6) cables for each metre that the tip lacks, around the base command."""
     integral: jax.Array
@@ -54,20 +58,25 @@ class TrueState:
     pose: jax.Array
 
 
-def actor_observation(robot: Robot, state: ControlState, ramp: jax.Array, waited: jax.Array) -> jax.Array:
+def actor_observation(
+    robot: Robot, state: ControlState, offset: jax.Array, ramp: jax.Array, waited: jax.Array
+) -> jax.Array:
     """Only what the real robot has: sensor memory, last actions, motor command, target, base command, residual, clock.
 
-    Beside the readings' deviations from the command stands what the tip lacks of its target according to each of them:
-    the same numbers, but with the millimetres that matter not lost among the radians. It is zero until the base
+    Beside the readings' deviations from the command stands what the tip would lack of its target without the residual,
+    according to each of them: the same numbers, but with the millimetres that matter not lost among the radians, and
+    the residual to choose, not a change of it, so that an error of the actor does not add up. It is zero until the base
     command is ramped in, lest the way to the target drown what is left at its end.
 
     Args:
+        offset: (num_cables,) the residual's part of the command [m].
         ramp: how much of the base command is ramped in, 0 to 1.
         waited: time [s] since then.
     """
     held = held_rotation_vectors(robot, state.command)
     deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
-    lacking = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, held + one), state.target))(deviations)
+    without = held_rotation_vectors(robot, state.command - offset)
+    lacking = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, without + one), state.target))(deviations)
     parts = (
         rotation_vectors(bends_from_cables(robot, state.base_lengths)),
         deviations,
@@ -78,6 +87,7 @@ def actor_observation(robot: Robot, state: ControlState, ramp: jax.Array, waited
         state.base_lengths,
         state.integral,
         state.residual,
+        state.swing[None],
         ramp[None],
         waited[None],
     )

@@ -107,7 +107,9 @@ def test_the_physics_holds_the_strands_of_the_command(judged):
 
 def test_only_the_bases_that_have_them_dither_and_feed_back(judged):
     """The motors' commands, once arrived: exact, dithering about the answer, or drifting by what the encoders say."""
-    config = dataclasses.replace(CONFIG, integral=IntegralConfig(gain=20.0), dither=DitherConfig(0.0005, 0.05, 0.04))
+    config = dataclasses.replace(
+        CONFIG, integral=IntegralConfig(gain=20.0), dither=DitherConfig(amplitude=0.0005, decay=0.05)
+    )
     nothing = lambda seen: np.zeros((len(seen), ARM.num_cables))  # noqa: E731
     moves = {}
     for base in BASES:

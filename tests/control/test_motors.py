@@ -44,7 +44,7 @@ def test_the_longest_cable_sets_the_ramps_duration():
 
 
 def test_the_residual_by_hand_numbers():
-    config = motors.ResidualConfig(rate=0.01, bound=0.0005)
+    config = motors.ResidualConfig(lag=0.0, rate=0.01, bound=0.0005)
     residual = jnp.array([0.0, 0.0, 0.0004, -0.0005, 0.0005])
     action = jnp.array([0.0, 0.2, 1.0, 7.0, -7.0])
     moved = motors.move_residual(config, residual, action, PERIOD)
@@ -52,7 +52,7 @@ def test_the_residual_by_hand_numbers():
 
 
 def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
-    config = motors.ResidualConfig()
+    config = motors.ResidualConfig(lag=0.0)
     actions = np.random.default_rng(0).normal(2.0, 5.0, (200, 8))
     residual = jnp.zeros(8)
     move = jax.jit(lambda residual, action: motors.move_residual(config, residual, action, PERIOD))
@@ -65,7 +65,7 @@ def test_the_residual_never_leaves_its_bound_nor_exceeds_its_rate():
 
 
 def test_the_residual_reaches_the_actions_offset_and_stays_there():
-    config = motors.ResidualConfig(bound=0.001, rate=0.01)
+    config = motors.ResidualConfig(bound=0.001, rate=0.01, lag=0.0)
     action, residual = jnp.array([0.5, -1.0, 0.0]), jnp.zeros(3)
     for _ in range(10):
         residual = motors.move_residual(config, residual, action, PERIOD)
@@ -84,7 +84,7 @@ def test_a_residual_of_the_tip_is_six_numbers_and_one_of_the_cables_as_many_as_t
 @pytest.mark.parametrize("name", ARMS)
 def test_base_and_residual_together_never_exceed_the_motors_speed(name):
     """The residual moves at its full rate, in both directions, while the base is ramped in at motor speed."""
-    arm, config = arm_named(name), motors.ResidualConfig(rate=0.0075, bound=0.01)
+    arm, config = arm_named(name), motors.ResidualConfig(lag=0.0, rate=0.0075, bound=0.01)
     base = jnp.asarray(base_commands(arm, 1)[0])
     action = jnp.asarray(np.where(np.arange(arm.num_cables) % 3 == 0, -1.0, 1.0) * np.sign(base))
 
@@ -102,14 +102,21 @@ def test_base_and_residual_together_never_exceed_the_motors_speed(name):
     np.testing.assert_allclose(commands[-1], base + config.bound * action, atol=1e-12)  # and nothing was lost by it
 
 
-def test_the_dither_swings_first_against_the_way_the_cables_came_and_dies_away():
-    config, base = motors.DitherConfig(amplitude=0.001, decay=0.2, half_period=0.04), jnp.array([0.03, -0.02, 0.0])
-    times = jnp.array([-0.01, 0.0, 0.02, 0.04, 0.08, 2.0])
-    added = jax.vmap(lambda time: motors.dither(config, base, time))(times)
-    size = 0.001 * np.exp(-np.asarray(times) / 0.2)
-    sign = np.array([0.0, -1.0, -1.0, 1.0, -1.0, -1.0])
-    np.testing.assert_allclose(added, (sign * size)[:, None] * np.array([1.0, -1.0, 0.0]), atol=1e-15)
-    assert np.abs(added[-1]).max() < 1e-7
+def test_the_dither_swings_first_against_the_way_the_cables_came():
+    config, base = motors.DitherConfig(half_period=0.04), jnp.array([0.03, -0.02, 0.0])
+    times = jnp.array([-0.01, 0.0, 0.02, 0.04, 0.08])
+    added = jax.vmap(lambda time: motors.dither(config, jnp.array(0.001), base, time))(times)
+    sign = np.array([0.0, -1.0, -1.0, 1.0, -1.0])
+    np.testing.assert_allclose(added, 0.001 * sign[:, None] * np.array([1.0, -1.0, 0.0]), atol=1e-15)
+
+
+def test_the_swings_die_away_and_grow_by_what_moves_the_cables():
+    config, still = motors.DitherConfig(amplitude=0.0005, growth=2.0, decay=0.2), jnp.zeros(3)
+    alone = motors.next_swing(config, jnp.array(4e-4), still, PERIOD)
+    assert float(alone) == pytest.approx(4e-4 * np.exp(-PERIOD / 0.2), rel=1e-12)
+    moved = motors.next_swing(config, jnp.array(4e-4), jnp.array([1e-5, -2e-5, 0.0]), PERIOD)
+    assert float(moved - alone) == pytest.approx(2.0 * 2e-5, rel=1e-9)
+    assert float(motors.next_swing(config, jnp.array(4e-4), jnp.array([0.0, 0.0006, 0.0]), PERIOD)) == 0.0005
 
 
 def test_the_default_dither_is_within_the_motors_speed():
@@ -118,8 +125,17 @@ def test_the_default_dither_is_within_the_motors_speed():
     assert swing <= arm.motor_speed * config.half_period
 
 
+def test_a_lagging_residual_closes_the_gap_exponentially():
+    config, action = motors.ResidualConfig(bound=0.002, rate=1.0, lag=0.5), jnp.array([1.0, -0.5])
+    step = lambda residual, _: (motors.move_residual(config, residual, action, PERIOD),) * 2  # noqa: E731
+    _, path = jax.lax.scan(step, jnp.array([0.0, 0.001]), jnp.arange(50))
+    passed = np.exp(-PERIOD * np.arange(1, 51) / 0.5)[:, None]
+    wanted = 0.002 * np.array([1.0, -0.5])
+    np.testing.assert_allclose(path, wanted + (np.array([0.0, 0.001]) - wanted) * passed, atol=1e-15)
+
+
 def test_the_advised_action_takes_the_residual_to_where_nothing_lacks():
-    config = motors.ResidualConfig(bound=0.002, rate=1.0)
+    config = motors.ResidualConfig(lag=0.0, bound=0.002, rate=1.0)
     residual, lacking = jnp.array([5e-4, 0, 0, 0, 0, 0]), jnp.array([3e-4, -1e-4, 0, 0, 1e-5, 0])
     action = motors.advised_action(config, residual, lacking, jnp.zeros((8, 6)))
     np.testing.assert_allclose(motors.move_residual(config, residual, action, PERIOD), residual + lacking, atol=1e-15)

@@ -21,7 +21,7 @@ CONFIG = EnvironmentConfig(
     scored_time=0.06,
     dither=DitherConfig(amplitude=0.0),
     integral=IntegralConfig(gain=0.0),
-    residual=ResidualConfig(space="cables", bound=0.003, rate=0.01),
+    residual=ResidualConfig(space="cables", bound=0.003, rate=0.01, lag=0.0),
 )
 
 
