@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.control import episode
-from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.episode import Bank, EnvironmentConfig, EpisodeState
 from qjrl.control.motors import action_size
 from qjrl.control.observations import ControlState, TrueState
 from qjrl.learning.ppo.environment import Observation, Transition
@@ -70,7 +70,7 @@ class ResidualEnvironment:
     def step(self, actions: Any) -> Transition:
         """One control period: residual and base to the motors, physics, sensors, reward."""
         planned, commands = self._compiled.command(
-            self._robot, self._state, jnp.asarray(actions, self._state.residual.dtype)
+            self._robot, self._state, jnp.asarray(actions, self._state.control.residual.dtype)
         )
         self._held = np.asarray(commands)
         self._stepper.step(self._held, self._substeps)
@@ -100,7 +100,7 @@ class ResidualEnvironment:
     @property
     def commands(self) -> np.ndarray:
         """(num_envs, num_cables) what the motors hold now [m]."""
-        return np.asarray(self._state.command)
+        return np.asarray(self._state.control.command)
 
     @property
     def strand_tension(self) -> np.ndarray:
@@ -109,10 +109,12 @@ class ResidualEnvironment:
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that a bitwise continuation needs."""
-        fields = {field.name: getattr(self._state, field.name) for field in dataclasses.fields(ControlState)}
+        own = {field.name: getattr(self._state, field.name) for field in dataclasses.fields(EpisodeState)}
+        control = own.pop("control")
+        fields = own | {field.name: getattr(control, field.name) for field in dataclasses.fields(ControlState)}
         fields["key"] = jax.random.key_data(fields["key"])
-        control = {f"control/{name}": np.array(value) for name, value in fields.items()}
-        return control | {f"physics/{name}": value for name, value in self._stepper.get_state().items()}
+        controlled = {f"control/{name}": np.array(value) for name, value in fields.items()}
+        return controlled | {f"physics/{name}": value for name, value in self._stepper.get_state().items()}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
@@ -122,8 +124,9 @@ class ResidualEnvironment:
             if name.startswith("control/")
         }
         fields["key"] = jax.random.wrap_key_data(fields["key"])
-        self._state = ControlState(**fields)
-        self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(self._state.command))
+        control = ControlState(**{field.name: fields.pop(field.name) for field in dataclasses.fields(ControlState)})
+        self._state = EpisodeState(control=control, **fields)
+        self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(control.command))
         self._stepper.set_state(
             {name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")}
         )
@@ -168,7 +171,7 @@ def _compile(config: EnvironmentConfig) -> _Compiled:
     )
 
 
-def _restart_some(restart, robot: Robot, states: ControlState, fresh: ControlState, truth: TrueState, ids: jax.Array):
+def _restart_some(restart, robot: Robot, states: EpisodeState, fresh: EpisodeState, truth: TrueState, ids: jax.Array):
     """`_restart` for simulations `ids` among all; the states of the others stay."""
     fresh, first = restart(robot, fresh, jax.tree.map(lambda value: value[ids], truth))
     return jax.tree.map(lambda old, new: old.at[ids].set(new), states, fresh), first

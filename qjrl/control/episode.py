@@ -1,6 +1,8 @@
-"""One episode of one arm as pure functions: begin, restart, command, observe. The environment maps them over many.
+"""One episode of one simulated arm as pure functions: begin, restart, command, observe. The environment maps them over many.
 
 begin ─> (physics put at home) ─> restart ─> [ command ─> (physics steps) ─> observe ] ...
+
+What the robot computes is `controller`'s; here is what only a simulation knows: truth, errors, reward, advice, the end.
 """
 
 import dataclasses
@@ -12,18 +14,12 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range
-from qjrl.control import motors, tip_correction
-from qjrl.control.observations import (
-    ACTION_HISTORY,
-    ControlState,
-    TrueState,
-    actor_observation,
-    critic_observation,
-    held_rotation_vectors,
-)
+from qjrl.control import controller, motors, tip_correction
+from qjrl.control.controller import ControllerConfig
+from qjrl.control.observations import ControlState, TrueState, critic_observation
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.rewards import RewardConfig, reward
-from qjrl.control.sensors import MEMORY_SIZE, SETTLING, read_encoders, remember
+from qjrl.control.sensors import SETTLING, read_encoders
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY
 from qjrl.robot import configuration_from_joint_positions, strand_commands
@@ -61,6 +57,11 @@ class EnvironmentConfig:
         """Control steps over which the error is judged."""
         return math.ceil(self.scored_time / self.control_period)
 
+    @property
+    def controller(self) -> ControllerConfig:
+        """What the robot needs of it."""
+        return ControllerConfig(self.control_period, self.dither, self.integral, self.residual)
+
 
 @struct.dataclass
 class Bank:
@@ -73,10 +74,23 @@ class Bank:
 
 
 @struct.dataclass
+class EpisodeState:
+    """What one arm carries from step to step."""
+
+    control: ControlState
+    """The robot's own."""
+    initial_errors: jax.Array
+    """(2,) position [m] and orientation [rad] error at the start."""
+    episode_steps: jax.Array
+    """Step at which this episode ends."""
+    key: jax.Array
+
+
+@struct.dataclass
 class Begun:
     """A new episode, before the physics is put where it begins."""
 
-    state: ControlState
+    state: EpisodeState
     parameters: dict[str, jax.Array]
 
 
@@ -84,7 +98,7 @@ class Begun:
 class StepOutcome:
     """One control step of one arm."""
 
-    state: ControlState
+    state: EpisodeState
     observation: dict[str, jax.Array]
     reward: jax.Array
     is_over: jax.Array
@@ -98,125 +112,72 @@ def begin(
     key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
     cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
-    zeros = jnp.zeros((robot.num_cables,), bank.base_lengths.dtype)
-    residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
-    readings = jnp.zeros((robot.num_segments, 2), bank.base_lengths.dtype)
-    state = ControlState(
-        target=bank.target[row],
-        base_lengths=bank.base_lengths[row],
-        command=zeros,
-        course=zeros,
-        swing=zeros[0],
-        correction=tip_correction.correction_matrix(robot, bank.base_lengths[row]),
-        integral=zeros,
-        residual=residual,
-        actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
-        reading=readings,
-        memory=jnp.zeros((MEMORY_SIZE, *readings.shape), zeros.dtype),
-        step=jnp.zeros((), jnp.int32),
-        initial_errors=jnp.zeros(2, zeros.dtype),
+    state = EpisodeState(
+        control=controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row]),
+        initial_errors=jnp.zeros(2, bank.base_lengths.dtype),
         episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
         key=key_next,
     )
     return Begun(state, draw_parameters(config.randomisation, key_parameters))
 
 
-def restart(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
+def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):
     """First reading and first observation of an episode, from the physics at rest at home."""
     reading, key_next = _read(config, robot, state, truth)
-    errors = _errors(truth, state)
-    memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
+    control = controller.start(robot, state.control, reading)
+    errors = _errors(truth, control)
     state = dataclasses.replace(
-        state, reading=reading, memory=memory, initial_errors=errors.astype(state.residual.dtype), key=key_next
+        state, control=control, initial_errors=errors.astype(state.initial_errors.dtype), key=key_next
     )
     return state, _observation(config, robot, state, truth, errors)
 
 
-def command(config: EnvironmentConfig, robot: Robot, state: ControlState, action: jax.Array):
-    """The next control state's commands and the strands' rest lengths: all that is added summed before one limiter."""
-    period = config.control_period
-    residual = motors.move_residual(config.residual, state.residual, action, period)
-    time = (state.step + 1) * period
-    added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
-    course = motors.ramped_base(robot, state.base_lengths, time) + added
-    swing = motors.next_swing(config.dither, state.swing, course - state.course, period)
-    waited = time - motors.ramp_time(robot, state.base_lengths)
-    desired = course + motors.dither(config.dither, swing, state.base_lengths, waited)
-    lengths = motors.limit_speed(robot, state.command, desired, period)
-    actions = jnp.concatenate([action[None], state.actions[:-1]])
-    planned = dataclasses.replace(
-        state, residual=residual, course=course, swing=swing, command=lengths, actions=actions
-    )
-    return planned, strand_commands(robot, lengths)
+def command(config: EnvironmentConfig, robot: Robot, state: EpisodeState, action: jax.Array):
+    """The next state's commands and the strands' rest lengths."""
+    planned = controller.plan(config.controller, robot, state.control, action)
+    return dataclasses.replace(state, control=planned), strand_commands(robot, planned.command)
 
 
-def observe(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> StepOutcome:
+def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState) -> StepOutcome:
     """Sensors, feedback, reward and end of episode after the physics has moved."""
     reading, key_next = _read(config, robot, state, truth)
-    state = dataclasses.replace(state, step=state.step + 1, reading=reading, key=key_next)
-    state = _remember(config, robot, state)
-    has_arrived = _ramp(config, robot, state) >= 1.0
-    errors = _errors(truth, state)
-    earned = reward(config.reward, errors[0], errors[1], state.actions[0], has_arrived)
+    control = controller.sense(config.controller, robot, state.control, reading)
+    state = dataclasses.replace(state, control=control, key=key_next)
+    has_arrived = controller.ramped_in(config.controller, robot, control) >= 1.0
+    errors = _errors(truth, control)
+    earned = reward(config.reward, errors[0], errors[1], control.actions[0], has_arrived)
     metrics = {
         "position_error": errors[0],
         "orientation_error": errors[1],
-        "residual": jnp.max(jnp.abs(state.residual)),
+        "residual": jnp.max(jnp.abs(control.residual)),
     }
     observation = _observation(config, robot, state, truth, errors)
-    return StepOutcome(state, observation, earned, state.step >= state.episode_steps, metrics)
+    return StepOutcome(state, observation, earned, control.step >= state.episode_steps, metrics)
 
 
-def _read(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState):
+def _read(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):
     """The encoders' reading now, and the key of the next one."""
     key_noise, key_next = jax.random.split(state.key)
     bends = configuration_from_joint_positions(robot, truth.joint_positions)
     reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise)
-    return reading.astype(state.reading.dtype), key_next
-
-
-def _remember(config: EnvironmentConfig, robot: Robot, state: ControlState) -> ControlState:
-    """The memory and the integral after a reading; feedback acts once the base command is ramped in and the dither over."""
-    deviation = state.reading - held_rotation_vectors(robot, state.command)
-    memory = remember(state.memory, deviation, _waited(config, robot, state), config.control_period).astype(
-        state.memory.dtype
-    )
-    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
-    moved = tip_correction.integrate(
-        config.integral, state.integral, state.correction, difference, config.control_period
-    )
-    begins = SETTLING if config.dither.amplitude > 0.0 else 0.0
-    acts = (_ramp(config, robot, state) >= 1.0) & (_waited(config, robot, state) >= begins)
-    integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
-    return dataclasses.replace(state, memory=memory, integral=integral)
+    return reading.astype(state.control.reading.dtype), key_next
 
 
 def _observation(
-    config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState, errors: jax.Array
+    config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState, errors: jax.Array
 ) -> dict[str, jax.Array]:
-    offset = motors.residual_lengths(config.residual, state.residual, state.correction)
-    actor = actor_observation(robot, state, offset, _ramp(config, robot, state), _waited(config, robot, state))
-    advice = _advice(config, robot, state, truth)
-    return {ACTOR_KEY: actor, CRITIC_KEY: critic_observation(actor, state, truth, errors, advice)}
+    actor = controller.observation(config.controller, robot, state.control)
+    advice = _advice(config, robot, state.control, truth)
+    critic = critic_observation(actor, state.control.target, truth, errors, state.initial_errors, advice)
+    return {ACTOR_KEY: actor, CRITIC_KEY: critic}
 
 
-def _advice(config: EnvironmentConfig, robot: Robot, state: ControlState, truth: TrueState) -> jax.Array:
+def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, truth: TrueState) -> jax.Array:
     """The action whose offset would take the tip to its target, as only the simulation can know; none before it has settled."""
-    lacking = tip_correction.weighted_difference(truth.pose, state.target)
-    advised = motors.advised_action(config.residual, state.residual, lacking, state.correction)
-    return jnp.where(_waited(config, robot, state) >= SETTLING, advised, 0.0)
+    lacking = tip_correction.weighted_difference(truth.pose, control.target)
+    advised = motors.advised_action(config.residual, control.residual, lacking, control.correction)
+    return jnp.where(controller.waited(config.controller, robot, control) >= SETTLING, advised, 0.0)
 
 
-def _ramp(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """How much of the base command is ramped in, 0 to 1."""
-    duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
-    return jnp.minimum(state.step * config.control_period / duration, 1.0)
-
-
-def _waited(config: EnvironmentConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """Time [s] since the base command is ramped in."""
-    return jnp.maximum(state.step * config.control_period - motors.ramp_time(robot, state.base_lengths), 0.0)
-
-
-def _errors(truth: TrueState, state: ControlState) -> jax.Array:
-    return jnp.stack([position_error(truth.pose, state.target), orientation_error(truth.pose, state.target)])
+def _errors(truth: TrueState, control: ControlState) -> jax.Array:
+    return jnp.stack([position_error(truth.pose, control.target), orientation_error(truth.pose, control.target)])

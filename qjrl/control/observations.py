@@ -40,12 +40,7 @@ class ControlState:
     memory: jax.Array
     """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
     step: jax.Array
-    """Control steps since the start of the episode."""
-    initial_errors: jax.Array
-    """(2,) position [m] and orientation [rad] error at the start."""
-    episode_steps: jax.Array
-    """Step at which this episode ends."""
-    key: jax.Array
+    """Control steps since the start."""
 
 
 @struct.dataclass
@@ -100,11 +95,20 @@ def held_rotation_vectors(robot: Robot, command: jax.Array) -> jax.Array:
 
 
 def critic_observation(
-    actor: jax.Array, state: ControlState, truth: TrueState, errors: jax.Array, advice: jax.Array
+    actor: jax.Array,
+    target: jax.Array,
+    truth: TrueState,
+    errors: jax.Array,
+    initial_errors: jax.Array,
+    advice: jax.Array,
 ) -> jax.Array:
     """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; the advice.
 
     Joint velocities are left out, as in the paper: they jitter in MJX.
+
+    Args:
+        target: (9,) pose.
+        errors: (2,) position [m] and orientation [rad] error now; `initial_errors` those at the start.
     """
     parts = (
         actor,
@@ -112,9 +116,9 @@ def critic_observation(
         truth.strand_velocities,
         truth.joint_positions,
         truth.pose,
-        truth.pose - state.target,
+        truth.pose - target,
         errors,
-        state.initial_errors,
+        initial_errors,
         advice,
     )
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)

@@ -1,0 +1,106 @@
+"""What the real robot computes: from target, base command and encoder readings to motor commands.
+
+begin ─> start ─> [ observation ─> (policy) ─> plan ─> (motors, encoders) ─> sense ] ...
+
+Pure functions of one arm. The environment maps them over many simulated ones, a deployed controller runs them for one.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+
+from qjrl.control import motors, tip_correction
+from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
+from qjrl.control.sensors import MEMORY_SIZE, SETTLING, remember
+from qjrl.robot.verbs import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class ControllerConfig:
+    """The part of an environment's configuration that a controller needs."""
+
+    control_period: float
+    """[s]."""
+    dither: motors.DitherConfig
+    integral: tip_correction.IntegralConfig
+    residual: motors.ResidualConfig
+
+
+def begin(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> ControlState:
+    """A new target (9,) and the base controller's answer to it (num_cables,) [m]; the arm is at home."""
+    zeros = jnp.zeros((robot.num_cables,), base_lengths.dtype)
+    residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
+    readings = jnp.zeros((robot.num_segments, 2), base_lengths.dtype)
+    return ControlState(
+        target=target,
+        base_lengths=base_lengths,
+        command=zeros,
+        course=zeros,
+        swing=zeros[0],
+        correction=tip_correction.correction_matrix(robot, base_lengths),
+        integral=zeros,
+        residual=residual,
+        actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
+        reading=readings,
+        memory=jnp.zeros((MEMORY_SIZE, *readings.shape), zeros.dtype),
+        step=jnp.zeros((), jnp.int32),
+    )
+
+
+def start(robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
+    """The first reading (segments, 2) [rad] fills the memory."""
+    memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
+    return dataclasses.replace(state, reading=reading, memory=memory)
+
+
+def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """What the policy sees."""
+    offset = motors.residual_lengths(config.residual, state.residual, state.correction)
+    return actor_observation(robot, state, offset, ramped_in(config, robot, state), waited(config, robot, state))
+
+
+def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: jax.Array) -> ControlState:
+    """The next motor command from an action (action size,): all that is added summed before one limiter."""
+    period = config.control_period
+    residual = motors.move_residual(config.residual, state.residual, action, period)
+    time = (state.step + 1) * period
+    added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
+    course = motors.ramped_base(robot, state.base_lengths, time) + added
+    swing = motors.next_swing(config.dither, state.swing, course - state.course, period)
+    after = time - motors.ramp_time(robot, state.base_lengths)
+    desired = course + motors.dither(config.dither, swing, state.base_lengths, after)
+    lengths = motors.limit_speed(robot, state.command, desired, period)
+    actions = jnp.concatenate([action[None], state.actions[:-1]])
+    return dataclasses.replace(state, residual=residual, course=course, swing=swing, command=lengths, actions=actions)
+
+
+def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
+    """A reading (segments, 2) [rad] one control period later: memory and integral.
+
+    Feedback acts once the base command is ramped in and the dither over.
+    """
+    state = dataclasses.replace(state, step=state.step + 1, reading=reading)
+    deviation = state.reading - held_rotation_vectors(robot, state.command)
+    memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period).astype(
+        state.memory.dtype
+    )
+    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
+    moved = tip_correction.integrate(
+        config.integral, state.integral, state.correction, difference, config.control_period
+    )
+    begins = SETTLING if config.dither.amplitude > 0.0 else 0.0
+    acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
+    integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
+    return dataclasses.replace(state, memory=memory, integral=integral)
+
+
+def ramped_in(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """How much of the base command is ramped in, 0 to 1."""
+    duration = jnp.maximum(motors.ramp_time(robot, state.base_lengths), config.control_period)
+    return jnp.minimum(state.step * config.control_period / duration, 1.0)
+
+
+def waited(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """Time [s] since the base command is ramped in."""
+    return jnp.maximum(state.step * config.control_period - motors.ramp_time(robot, state.base_lengths), 0.0)
