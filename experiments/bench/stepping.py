@@ -10,22 +10,23 @@ from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
+from qjrl.robot.verbs import Robot
 from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
 ROBOT, NUM_ARMS, NUM_STEPS, CONTROL_PERIOD, RAMP_STEPS = "qj_2222", 512, 40, 0.02, 100
 
 
-def randomised(count: int) -> PhysicalParameters:
+def randomised(robot: Robot, count: int) -> PhysicalParameters:
     """Physical parameters as the policy trains with."""
     keys = jax.random.split(jax.random.key(0), count)
-    drawn = jax.vmap(lambda key: draw_parameters(RandomisationConfig(), key))(keys)
+    drawn = jax.vmap(lambda key: draw_parameters(RandomisationConfig(), robot, key))(keys)
     return PhysicalParameters(**{name: np.asarray(values) for name, values in drawn.items()})
 
 
-def rates(stepper, start: np.ndarray, home: np.ndarray, commands: np.ndarray) -> tuple[float, float]:
+def rates(robot: Robot, stepper, start: np.ndarray, home: np.ndarray, commands: np.ndarray) -> tuple[float, float]:
     """Control steps a second, by clock and by CPU time, of arms on their way from home."""
-    stepper.reset(np.arange(NUM_ARMS), start, home, randomised(NUM_ARMS))
+    stepper.reset(np.arange(NUM_ARMS), start, home, randomised(robot, NUM_ARMS))
     substeps = round(CONTROL_PERIOD / stepper.timestep)
     stepper.step(np.tile(home, (NUM_ARMS, 1)), substeps)
     stepper.read()
@@ -54,7 +55,7 @@ def main() -> None:
         ("minimal coordinates, 10 ms", MinimalStepper(robot, NUM_ARMS, 0.01)),
         ("minimal coordinates, 20 ms", MinimalStepper(robot, NUM_ARMS, 0.02)),
     ):
-        found[name] = rates(stepper, start, home, commands)
+        found[name] = rates(robot, stepper, start, home, commands)
         clock, cpu = found[name]
         ratio = cpu / found["C MuJoCo, 4 ms"][1]
         print(

@@ -16,6 +16,7 @@ import numpy as np
 
 from qjrl.control import episode
 from qjrl.control.episode import Bank, EnvironmentConfig, EpisodeState
+from qjrl.control.faults import Faults
 from qjrl.control.motors import action_size
 from qjrl.control.observations import ControlState, TrueState
 from qjrl.learning.ppo.environment import Observation, Transition
@@ -109,27 +110,23 @@ class ResidualEnvironment:
 
     def get_state(self) -> dict[str, np.ndarray]:
         """Everything that a bitwise continuation needs."""
-        own = {field.name: getattr(self._state, field.name) for field in dataclasses.fields(EpisodeState)}
-        control = own.pop("control")
-        fields = own | {field.name: getattr(control, field.name) for field in dataclasses.fields(ControlState)}
-        fields["key"] = jax.random.key_data(fields["key"])
-        controlled = {f"control/{name}": np.array(value) for name, value in fields.items()}
-        return controlled | {f"physics/{name}": value for name, value in self._stepper.get_state().items()}
+        episode = dict(vars(self._state))
+        control, faults = vars(episode.pop("control")), vars(episode.pop("faults"))
+        episode["key"] = jax.random.key_data(episode["key"])
+        parts = {"episode": episode, "control": control, "faults": faults, "physics": self._stepper.get_state()}
+        return {f"{part}/{name}": np.array(value) for part, values in parts.items() for name, value in values.items()}
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
-        fields = {
-            name.removeprefix("control/"): jnp.asarray(value)
-            for name, value in state.items()
-            if name.startswith("control/")
-        }
-        fields["key"] = jax.random.wrap_key_data(fields["key"])
-        control = ControlState(**{field.name: fields.pop(field.name) for field in dataclasses.fields(ControlState)})
-        self._state = EpisodeState(control=control, **fields)
-        self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(control.command))
-        self._stepper.set_state(
-            {name.removeprefix("physics/"): value for name, value in state.items() if name.startswith("physics/")}
-        )
+        parts: dict[str, dict[str, Any]] = {"episode": {}, "control": {}, "faults": {}, "physics": {}}
+        for name, value in state.items():
+            part, _, rest = name.partition("/")
+            parts[part][rest] = value if part == "physics" else jnp.asarray(value)
+        own = parts["episode"] | {"key": jax.random.wrap_key_data(parts["episode"]["key"])}
+        faults = Faults(**parts["faults"])
+        self._state = EpisodeState(control=ControlState(**parts["control"]), faults=faults, **own)
+        self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(faults.held))
+        self._stepper.set_state(parts["physics"])
 
     def _start_again(self, ids: np.ndarray, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """New episodes for arms `ids`; the observation of the others stays."""

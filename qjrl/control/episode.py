@@ -16,6 +16,7 @@ from flax import struct
 from qjrl.config import Range
 from qjrl.control import controller, motors, tip_correction
 from qjrl.control.controller import ControllerConfig
+from qjrl.control.faults import Faults, draw_faults, transmit
 from qjrl.control.observations import ControlState, TrueState, critic_observation
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.rewards import RewardConfig, reward
@@ -79,6 +80,8 @@ class EpisodeState:
 
     control: ControlState
     """The robot's own."""
+    faults: Faults
+    """Of which the robot knows nothing."""
     initial_errors: jax.Array
     """(2,) position [m] and orientation [rad] error at the start."""
     episode_steps: jax.Array
@@ -109,16 +112,18 @@ def begin(
     config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array
 ) -> Begun:
     """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
-    key_row, key_parameters, key_length, key_next = jax.random.split(key, 4)
+    key_row, key_parameters, key_length, key_next, key_faults = jax.random.split(key, 5)
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
     cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
+    control = controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row])
     state = EpisodeState(
-        control=controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row]),
+        control=control,
+        faults=draw_faults(config.randomisation, robot, key_faults, control.command),
         initial_errors=jnp.zeros(2, bank.base_lengths.dtype),
         episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
         key=key_next,
     )
-    return Begun(state, draw_parameters(config.randomisation, key_parameters))
+    return Begun(state, draw_parameters(config.randomisation, robot, key_parameters))
 
 
 def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):
@@ -133,9 +138,10 @@ def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth:
 
 
 def command(config: EnvironmentConfig, robot: Robot, state: EpisodeState, action: jax.Array):
-    """The next state's commands and the strands' rest lengths."""
+    """The next state's commands, and the strands' rest lengths: what the faults leave of them."""
     planned = controller.plan(config.controller, robot, state.control, action)
-    return dataclasses.replace(state, control=planned), strand_commands(robot, planned.command)
+    faults = transmit(state.faults, planned.command)
+    return dataclasses.replace(state, control=planned, faults=faults), strand_commands(robot, faults.held)
 
 
 def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState) -> StepOutcome:
@@ -159,7 +165,8 @@ def _read(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: T
     """The encoders' reading now, and the key of the next one."""
     key_noise, key_next = jax.random.split(state.key)
     bends = configuration_from_joint_positions(robot, truth.joint_positions)
-    reading = read_encoders(robot, bends, config.randomisation.encoder_noise_deg, key_noise)
+    noise_deg, working = config.randomisation.encoder_noise_deg, state.faults.working_encoders
+    reading = read_encoders(robot, bends, noise_deg, key_noise, working)
     return reading.astype(state.control.reading.dtype), key_next
 
 

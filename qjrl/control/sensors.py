@@ -37,10 +37,17 @@ def bends_of_rotation_vectors(vectors: jax.Array) -> jax.Array:
     return vectors * (jnp.sinc(half / jnp.pi) / 2.0)[:, None]
 
 
-def read_encoders(arm: QuaternionArm, bends: jax.Array, noise_deg: float, key: jax.Array) -> jax.Array:
-    """Segment estimates (segments, 2) [rad] from true bends, with each joint's noise of `noise_deg` averaged."""
-    deviation = math.radians(noise_deg) / jnp.sqrt(jnp.array(arm.joints_per_segment, jnp.float32))
-    return rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
+def read_encoders(
+    arm: QuaternionArm, bends: jax.Array, noise_deg: float, key: jax.Array, working: jax.Array
+) -> jax.Array:
+    """Segment estimates (segments, 2) [rad] from true bends: means over a segment's joints, each with noise of `noise_deg`.
+
+    Of n joints those beyond the first `working` (segments,) have dead encoders, which read no bend and have no noise.
+    """
+    count = jnp.array(arm.joints_per_segment, jnp.float32)
+    share = working / count
+    deviation = math.radians(noise_deg) / jnp.sqrt(count) * jnp.sqrt(share)
+    return share[:, None] * rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
 
 
 def remember(memory: jax.Array, deviation: jax.Array, waited: jax.Array, period: float) -> jax.Array:

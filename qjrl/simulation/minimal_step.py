@@ -42,7 +42,7 @@ class Physics:
 
     load: Load
     strand_stiffness: Any
-    """(lanes,) [N/m]."""
+    """(strands, lanes) [N/m]."""
     strand_damping: Any
     """(lanes,) [N s/m]."""
     strand_friction: Any

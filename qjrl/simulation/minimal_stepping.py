@@ -123,11 +123,11 @@ def _physics_of(robot: Robot, parameters: PhysicalParameters) -> Physics:
     load = Load(
         gravity=single(tilted(np.array(mechanics.gravity), parameters.tilt).T),
         armature_scale=single(parameters.armature_scale),
-        payload=np.full(len(parameters.tilt), mechanics.payload, np.float32),
+        payload=single(parameters.payload),
     )
     return Physics(
         load,
-        strand_stiffness=single(float(robot.strand_stiffness) * parameters.gain_scale),
+        strand_stiffness=single(float(robot.strand_stiffness) * parameters.strand_gain.T),
         strand_damping=single(strands.damping * parameters.strand_damping_scale),
         strand_friction=single(parameters.strand_friction),
     )

@@ -24,6 +24,7 @@ from qjrl.simulation.mjx_model import (
     single_precision,
     tip_pose,
 )
+from qjrl.simulation.payload import tip_body
 from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
@@ -39,8 +40,13 @@ class _Physics:
     strand_damping_scale: Rows
     strand_friction: Rows
     armature_scale: Rows
-    gain_scale: Rows
+    strand_gain: Rows
+    """Times the strand servos' stiffness, one a strand."""
     gravity: Rows
+    tip_mass: Rows
+    tip_centre: Rows
+    tip_inertia: Rows
+    """Of the last body, which carries the payload (`payload.TipBody`)."""
     joint_inverse_inertia: Rows
     """`dof_invweight0`: follows the armature, and with it how hard the equality rows are."""
     tendon_inverse_inertia: Rows
@@ -63,7 +69,7 @@ class MjxStepper:
     """`num_sims` simulations of one robot on JAX's default device; states lie on the host between calls."""
 
     def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004):
-        self.num_sims, self.timestep, self.num_strands = num_sims, timestep, robot.num_strands
+        self.num_sims, self.timestep, self.num_strands, self._robot = num_sims, timestep, robot.num_strands, robot
         self._arm = load_arm(build_mjcf(robot, SolverOptions(timestep=timestep)), strand_friction=1.0)
         host = self._arm.host
         zeros = lambda width: np.zeros((num_sims, width), np.float32)  # noqa: E731
@@ -72,8 +78,12 @@ class MjxStepper:
         self._has_failed = np.zeros(num_sims, bool)
         self._parameters = PhysicalParameters.nominal(robot, num_sims)
         self._physics = _Physics(
-            *(np.ones(num_sims, np.float32) for _ in range(4)),
+            *(np.ones(num_sims, np.float32) for _ in range(3)),
+            strand_gain=zeros(host.nu),
             gravity=zeros(3),
+            tip_mass=np.ones(num_sims, np.float32),
+            tip_centre=zeros(3),
+            tip_inertia=zeros(3),
             joint_inverse_inertia=zeros(host.nv),
             tendon_inverse_inertia=zeros(host.ntendon),
             mean_inertia=np.ones(num_sims, np.float32),
@@ -140,16 +150,20 @@ class MjxStepper:
         physics.strand_damping_scale[ids] = ours.strand_damping_scale[ids]
         physics.strand_friction[ids] = np.maximum(ours.strand_friction[ids], LEAST_FRICTION)
         physics.armature_scale[ids] = ours.armature_scale[ids]
-        physics.gain_scale[ids] = ours.gain_scale[ids]
+        physics.strand_gain[ids] = ours.strand_gain[ids]
         physics.gravity[ids] = tilted(self._arm.host.opt.gravity, ours.tilt[ids])
+        tip = tip_body(self._robot, self._arm.host, ours.payload[ids])
+        physics.tip_mass[ids], physics.tip_centre[ids], physics.tip_inertia[ids] = tip.mass, tip.centre, tip.inertia
         self._derive_constants(ids)
 
     def _derive_constants(self, ids: np.ndarray) -> None:
-        """What C MuJoCo derives from the armature, by C MuJoCo: they scale how hard the rows are."""
+        """What C MuJoCo derives from armature and payload, by C MuJoCo: they scale how hard the rows are."""
         host, physics = copy.copy(self._arm.host), self._physics
         data = mujoco.MjData(host)
         for index in ids:
             host.dof_armature[:] = self._arm.host.dof_armature * self._parameters.armature_scale[index]
+            host.body_mass[-1], host.body_ipos[-1] = physics.tip_mass[index], physics.tip_centre[index]
+            host.body_inertia[-1] = physics.tip_inertia[index]
             mujoco.mj_setConst(host, data)
             physics.joint_inverse_inertia[index] = host.dof_invweight0
             physics.tendon_inverse_inertia[index] = host.tendon_invweight0
@@ -174,16 +188,19 @@ def _advance(
 
 
 def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:
-    """The model with one simulation's physical parameters; strands are the actuated tendons, the first ones."""
+    """The model with one simulation's physical parameters; strands are the first tendons, the payload's body is the last."""
     strands = slice(0, model.nu)
     return model.tree_replace(
         {
             "tendon_damping": model.tendon_damping.at[strands].multiply(physics.strand_damping_scale),
             "tendon_frictionloss": model.tendon_frictionloss.at[strands].set(physics.strand_friction),
             "dof_armature": model.dof_armature * physics.armature_scale,
-            "actuator_gainprm": model.actuator_gainprm * physics.gain_scale,
-            "actuator_biasprm": model.actuator_biasprm * physics.gain_scale,
+            "actuator_gainprm": model.actuator_gainprm * physics.strand_gain[:, None],
+            "actuator_biasprm": model.actuator_biasprm * physics.strand_gain[:, None],
             "opt.gravity": physics.gravity,
+            "body_mass": model.body_mass.at[-1].set(physics.tip_mass),
+            "body_ipos": model.body_ipos.at[-1].set(physics.tip_centre),
+            "body_inertia": model.body_inertia.at[-1].set(physics.tip_inertia),
             "dof_invweight0": physics.joint_inverse_inertia,
             "tendon_invweight0": physics.tendon_inverse_inertia,
             "stat.meaninertia": physics.mean_inertia,

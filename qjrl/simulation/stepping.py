@@ -12,6 +12,7 @@ from mujoco import batch
 from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.payload import tip_body
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,12 +49,28 @@ class PhysicalParameters:
     """(n,) times the strand servo's stiffness."""
     tilt: np.ndarray
     """(n, 2) rotation of gravity about the base's x and y [rad]."""
+    strand_stiffness_scale: np.ndarray
+    """(n, strands) times the stiffness of each strand, on top of `gain_scale`."""
+    payload: np.ndarray
+    """(n,) mass at the tip [kg], in place of the robot's."""
 
     @classmethod
     def nominal(cls, robot: Robot, count: int) -> "PhysicalParameters":
         """The robot as described, `count` times."""
-        friction = np.full(count, robot.config.strands.friction)
-        return cls(np.ones(count), friction, np.ones(count), np.ones(count), np.zeros((count, 2)))
+        return cls(
+            strand_damping_scale=np.ones(count),
+            strand_friction=np.full(count, robot.config.strands.friction),
+            armature_scale=np.ones(count),
+            gain_scale=np.ones(count),
+            tilt=np.zeros((count, 2)),
+            strand_stiffness_scale=np.ones((count, robot.num_strands)),
+            payload=np.full(count, robot.config.mechanics.payload),
+        )
+
+    @property
+    def strand_gain(self) -> np.ndarray:
+        """(n, strands) times the stiffness as described, of both scales together."""
+        return self.gain_scale[:, None] * self.strand_stiffness_scale
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Field name -> copy of its values."""
@@ -108,6 +125,7 @@ class MujocoStepper:
         tip = self._batch.site("tip")
         self._tip_position, self._tip_rotation = tip.xpos, tip.xmat
         self._has_failed = np.zeros(num_sims, bool)
+        self._robot, self._is_loaded = robot, False
         self._parameters = PhysicalParameters.nominal(robot, num_sims)
         self._set_parameters(np.arange(num_sims))
 
@@ -167,10 +185,21 @@ class MujocoStepper:
         field("tendon_damping")[ids, strands] = model.tendon_damping[strands] * ours.strand_damping_scale[ids, None]
         field("tendon_frictionloss")[ids, strands] = ours.strand_friction[ids, None]
         field("dof_armature")[ids] = model.dof_armature * ours.armature_scale[ids, None]
-        field("actuator_gainprm")[ids] = model.actuator_gainprm * ours.gain_scale[ids, None, None]
-        field("actuator_biasprm")[ids] = model.actuator_biasprm * ours.gain_scale[ids, None, None]
+        field("actuator_gainprm")[ids] = model.actuator_gainprm * ours.strand_gain[ids, :, None]
+        field("actuator_biasprm")[ids] = model.actuator_biasprm * ours.strand_gain[ids, :, None]
         field("opt.gravity")[ids] = tilted(model.opt.gravity, ours.tilt[ids])
+        self._set_payload(ids)
         self._batch.set_const(ids)
+
+    def _set_payload(self, ids: np.ndarray) -> None:
+        """The fields of the last body, which belong to the simulations only once one has a payload of its own."""
+        payload = self._parameters.payload[ids]
+        self._is_loaded |= bool(np.any(payload != self._robot.config.mechanics.payload))
+        if self._is_loaded:
+            tip, body = tip_body(self._robot, self.model, payload), self.model.site_bodyid[self.model.site("tip").id]
+            self._batch.expand("body_mass")[ids, body] = tip.mass
+            self._batch.expand("body_ipos")[ids, body] = tip.centre
+            self._batch.expand("body_inertia")[ids, body] = tip.inertia
 
 
 def tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:

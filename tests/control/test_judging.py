@@ -72,7 +72,7 @@ def test_every_controller_meets_the_same_arms_and_the_same_noise(judge):
         state = env.get_state()
         for name, value in parameters.items():
             np.testing.assert_array_equal(state[name], value, err_msg=name)
-        noise.append(state["control/key"])
+        noise.append(state["episode/key"])
     np.testing.assert_array_equal(noise[0], noise[1])
     other_base = dataclasses.replace(bank(), base_lengths=0.5 * bank().base_lengths)
     env_of_other_base = type(env)(ARM, CONFIG, other_base, MujocoStepper(ARM, NUM_ENVS), 5, np.arange(NUM_ENVS))

@@ -40,14 +40,16 @@ def test_values_and_gradients_are_finite_at_no_bend(convert):
     np.testing.assert_allclose(jacobian, slope * np.eye(4).reshape(2, 2, 2, 2), atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["qj_huang_4332", "rolling_312"])
-def test_the_encoders_are_unbiased_with_the_noise_of_a_mean_over_the_segments_joints(name):
+@pytest.mark.parametrize(("name", "dead"), [("qj_huang_4332", None), ("rolling_312", None), ("rolling_312", 2)])
+def test_the_encoders_read_a_mean_over_the_segments_joints_and_no_bend_of_the_dead_one(name, dead):
     arm, count = arm_named(name), 20_000
     bends = jnp.asarray(random_bends(arm, 1)[0])
     keys = jax.random.split(jax.random.key(0), count)
-    readings = jax.jit(jax.vmap(lambda key: read_encoders(arm, bends, NOISE_DEG, key)))(keys)
-    errors = np.asarray(readings - rotation_vectors(bends))
-    expected = np.radians(NOISE_DEG) / np.sqrt(np.array(arm.joints_per_segment))[:, None] * np.ones((1, 2))
+    count_of_joints = np.array(arm.joints_per_segment)[:, None]
+    working = count_of_joints - (np.arange(arm.num_segments) == dead)[:, None]
+    read = jax.jit(jax.vmap(lambda key: read_encoders(arm, bends, NOISE_DEG, key, jnp.asarray(working[:, 0]))))
+    errors = np.asarray(read(keys) - working / count_of_joints * rotation_vectors(bends))
+    expected = np.radians(NOISE_DEG) * np.sqrt(working) / count_of_joints * np.ones((1, 2))
     assert np.all(np.abs(errors.mean(axis=0)) < 4.0 * expected / np.sqrt(count))
     np.testing.assert_allclose(errors.std(axis=0), expected, rtol=4.0 / np.sqrt(2 * count))
     correlation = np.corrcoef(errors.reshape(count, -1).T) - np.eye(2 * arm.num_segments)
@@ -57,7 +59,8 @@ def test_the_encoders_are_unbiased_with_the_noise_of_a_mean_over_the_segments_jo
 def test_without_noise_the_encoders_read_the_truth():
     arm = arm_named("qj_22")
     bends = jnp.asarray(random_bends(arm, 1)[0])
-    np.testing.assert_array_equal(read_encoders(arm, bends, 0.0, jax.random.key(0)), rotation_vectors(bends))
+    everyone = jnp.array(arm.joints_per_segment, float)
+    np.testing.assert_array_equal(read_encoders(arm, bends, 0.0, jax.random.key(0), everyone), rotation_vectors(bends))
 
 
 def test_the_memory_weighs_a_reading_by_its_age():

@@ -1,5 +1,6 @@
 """Stepping in minimal coordinates against C MuJoCo, and its own exact properties."""
 
+import dataclasses
 from functools import partial
 
 import jax.numpy as jnp
@@ -23,8 +24,12 @@ def commands(bends):
 
 FAR = commands(np.array([[[0.3, 0.1], [-0.2, 0.2]], [[0.0, -0.5], [0.1, 0.4]], [[0.1, 0.0], [0.0, 0.0]]]))
 NEAR = np.tile(commands(np.zeros((1, 2, 2))), (3, 1))
-PARAMETERS = PhysicalParameters(
-    np.array([1.0, 0.6, 2.0]), np.zeros(3), np.array([1.0, 2.0, 0.5]), np.array([1.0, 0.8, 1.25]), np.zeros((3, 2))
+NOMINAL = PhysicalParameters.nominal(ARM, 3)
+PARAMETERS = dataclasses.replace(
+    NOMINAL,
+    strand_damping_scale=np.array([1.0, 0.6, 2.0]),
+    armature_scale=np.array([1.0, 2.0, 0.5]),
+    gain_scale=np.array([1.0, 0.8, 1.25]),
 )
 
 
@@ -68,11 +73,23 @@ def test_rest_does_not_depend_on_the_time_step(rested):
 
 
 def test_gravity_follows_the_tilt():
-    tilted = PhysicalParameters(
-        np.ones(3), np.zeros(3), np.ones(3), np.ones(3), np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1]])
-    )
+    tilted = dataclasses.replace(NOMINAL, tilt=np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.1]]))
     mujoco, minimal = (ramp(begun(make(ARM, 3), tilted), 2.0) for make in (MujocoStepper, MinimalStepper))
     np.testing.assert_allclose(minimal.pose[:, :3], mujoco.pose[:, :3], atol=1e-5)
+
+
+def test_payloads_and_unlike_strands_rest_where_they_rest_in_mujoco(rested):
+    """50 g, 200 g, strands each of its own stiffness: they move the resting tip by tenths of a millimetre."""
+    unlike = np.random.default_rng(0).uniform(0.7, 1.4, (1, ARM.num_strands))
+    loaded = dataclasses.replace(
+        PARAMETERS,
+        payload=np.array([0.05, 0.2, 0.0]),
+        strand_stiffness_scale=np.concatenate([np.ones((2, ARM.num_strands)), unlike]),
+    )
+    mujoco, minimal = (ramp(begun(make(ARM, 3), loaded), 3.0) for make in (MujocoStepper, MinimalStepper))
+    np.testing.assert_allclose(minimal.pose[:, :3], mujoco.pose[:, :3], atol=2e-5)
+    moved = np.linalg.norm(mujoco.pose[:, :3] - rested[0].pose[:, :3], axis=1)
+    assert np.all(moved > 1e-4), moved
 
 
 def test_friction_sticks_and_its_trace_is_that_of_mujoco():
@@ -80,7 +97,7 @@ def test_friction_sticks_and_its_trace_is_that_of_mujoco():
 
     By exactly as much it cannot be: what sticks where follows from the last tremble of each.
     """
-    rough = PhysicalParameters(np.ones(3), np.full(3, 3.0), np.ones(3), np.ones(3), np.zeros((3, 2)))
+    rough = dataclasses.replace(NOMINAL, strand_friction=np.full(3, 3.0))
     traces = []
     for make in (MujocoStepper, MinimalStepper):
         found = []

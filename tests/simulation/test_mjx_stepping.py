@@ -13,7 +13,7 @@ from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
 pytestmark = pytest.mark.slow
 
-NUM_SIMS = 4
+ARM, NUM_SIMS = "qj_2222", 4
 EVERYONE = np.arange(NUM_SIMS)
 NUM_RAMP, NUM_HELD = 20, 5
 SUBSTEPS = 5
@@ -22,7 +22,7 @@ SUBSTEPS = 5
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_robot("qj_2222")
+    return load_robot(ARM)
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +37,15 @@ def lengths(arm):
 
 
 def various_parameters():
-    """Four arms over the whole range of the randomisation, one of them without friction."""
+    """Four arms over the whole range of the randomisation, one of them without friction; payloads, unlike strands."""
     return PhysicalParameters(
         strand_damping_scale=np.array([0.5, 1.0, 2.0, 3.0]),
         strand_friction=np.array([0.0, 3.0, 1.5, 0.5]),
         armature_scale=np.array([2.0, 0.5, 1.0, 1.5]),
         gain_scale=np.array([0.8, 1.25, 1.1, 0.9]),
         tilt=np.array([[0.08, 0.0], [0.0, -0.08], [0.05, 0.05], [0.0, 0.0]]),
+        strand_stiffness_scale=np.random.default_rng(0).uniform(0.8, 1.2, (NUM_SIMS, load_robot(ARM).num_strands)),
+        payload=np.array([0.05, 0.0, 0.1, 0.0]),
     )
 
 
