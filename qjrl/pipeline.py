@@ -54,6 +54,7 @@ STAGES: dict[str, Stage] = {
         writes="export",
         default=False,
     ),
+    "deploy": Stage("qjrl.stages.deploy", "run the controller in real time", ("ik", "policy"), "deploy", False),
     "accuracy": Stage(
         "qjrl.stages.accuracy",
         "judge every controller open loop and with pose measurements",

@@ -2,10 +2,12 @@
 
 begin ─> start ─> [ observation ─> (policy) ─> plan ─> (motors, encoders) ─> sense ] ...
 
-Pure functions of one arm. The environment maps them over many simulated ones, a deployed controller runs them for one.
+Pure functions of one arm. The environment maps them over many simulated ones, a deployed controller runs them for one:
+there `prepare` is the first two, `tick` the rest, turned so that it begins with a reading and ends with a command.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +27,34 @@ class ControllerConfig:
     dither: motors.DitherConfig
     integral: tip_correction.IntegralConfig
     residual: motors.ResidualConfig
+
+
+def prepare(
+    config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array, reading: jax.Array
+) -> ControlState:
+    """The state before the first `tick`, which gets the same reading (segments, 2) [rad] again: its clock stands at -1.
+
+    A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
+    """
+    state = start(robot, begin(config, robot, target, base_lengths), reading)
+    return dataclasses.replace(state, step=state.step - 1)
+
+
+def tick(
+    config: ControllerConfig,
+    robot: Robot,
+    act: Callable[[jax.Array], jax.Array],
+    state: ControlState,
+    reading: jax.Array,
+) -> ControlState:
+    """One control period of a robot: from a reading (segments, 2) [rad] to the command that the motors shall hold now.
+
+    Args:
+        act: what the policy does on an observation.
+    """
+    state = sense(config, robot, state, reading)
+    action = act(observation(config, robot, state)).astype(state.residual.dtype)
+    return plan(config, robot, state, action)
 
 
 def begin(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> ControlState:
@@ -61,7 +91,7 @@ def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> 
 
 
 def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: jax.Array) -> ControlState:
-    """The next motor command from an action (action size,): all that is added summed before one limiter."""
+    """The next motor command from an action (action size,): all that is added summed before the limits."""
     period = config.control_period
     residual = motors.move_residual(config.residual, state.residual, action, period)
     time = (state.step + 1) * period
@@ -70,7 +100,7 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
     swing = motors.next_swing(config.dither, state.swing, course - state.course, period)
     after = time - motors.ramp_time(robot, state.base_lengths)
     desired = course + motors.dither(config.dither, swing, state.base_lengths, after)
-    lengths = motors.limit_speed(robot, state.command, desired, period)
+    lengths = motors.limit_speed(robot, state.command, motors.limit_lengths(robot, desired), period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
     return dataclasses.replace(state, residual=residual, course=course, swing=swing, command=lengths, actions=actions)
 

@@ -1,4 +1,4 @@
-"""From base command and residual to what the motors do: ramp, bounded residual, one speed limiter."""
+"""From base command and residual to what the motors do: ramp, bounded residual, limits of stroke and speed."""
 
 import dataclasses
 import math
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, cable_strokes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +89,12 @@ def advised_action(config: ResidualConfig, residual: jax.Array, lacking: jax.Arr
     """Action (action_size,) that moves the residual by what the tip lacks, `tip_correction.weighted_difference` (6,) [m]."""
     needed = lacking if config.space == "tip" else correction @ lacking
     return jnp.clip((residual + needed) / config.bound, -1.0, 1.0)
+
+
+def limit_lengths(robot: Robot, desired: jax.Array) -> jax.Array:
+    """Cable lengths (num_cables,) [m] within the strokes that the arm's joint limits leave."""
+    strokes = cable_strokes(robot)
+    return jnp.clip(desired, -strokes, strokes)
 
 
 def limit_speed(robot: Robot, command: jax.Array, desired: jax.Array, period: float) -> jax.Array:

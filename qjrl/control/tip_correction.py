@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from qjrl.config import Range
 from qjrl.control.sensors import bends_of_rotation_vectors
+from qjrl.geometry import cholesky
 from qjrl.geometry.pose import pose_difference
 from qjrl.robot import bends_from_cables, forward_kinematics
 from qjrl.robot.verbs import Robot
@@ -42,7 +43,8 @@ def correction_matrix(robot: Robot, lengths: jax.Array, damping: float = 1.0) ->
     """
     here = _tip(robot, lengths)
     jacobian = -jax.jacobian(lambda moved: weighted_difference(_tip(robot, moved), here))(lengths)
-    return jnp.linalg.solve(jacobian @ jacobian.T + damping**2 * jnp.eye(6), jacobian).T
+    damped = jacobian @ jacobian.T + damping**2 * jnp.eye(6, dtype=jacobian.dtype)
+    return cholesky.solve(cholesky.factor(damped), jacobian).T
 
 
 def sensed_pose(robot: Robot, reading: jax.Array) -> jax.Array:

@@ -39,7 +39,7 @@ def function_contract(deployed: DeployedFunction, precision: Precision, files: M
     return {
         "files": dict(files),
         "batch": "every array has a leading batch axis of any size",
-        "inputs": _ports([deployed.input], precision),
+        "inputs": _ports(deployed.inputs, precision),
         "outputs": _ports(deployed.outputs, precision),
     }
 

@@ -36,16 +36,18 @@ class DeployedFunction:
     """One function to export."""
 
     name: str
-    function: Callable[[jax.Array], Outputs]
-    """One sample -> its outputs by name."""
-    input: Port
+    function: Callable[..., Outputs]
+    """The inputs of one sample, in their order -> its outputs by name."""
+    inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
 
 
 def forward_function(robot: Robot, model: ForwardModel, precision: Precision) -> DeployedFunction:
     """Cable lengths -> pose under a fitted model; the network computes in float32 whatever the precision."""
     pose = pose_function(in_precision(robot, precision), model)
-    return DeployedFunction("forward_model", lambda lengths: {"pose": pose(lengths)}, _lengths(robot), (_pose("pose"),))
+    return DeployedFunction(
+        "forward_model", lambda lengths: {"pose": pose(lengths)}, (_lengths(robot),), (_pose("pose"),)
+    )
 
 
 def inverse_function(robot: Robot, solve: SolveFunction) -> DeployedFunction:
@@ -56,7 +58,7 @@ def inverse_function(robot: Robot, solve: SolveFunction) -> DeployedFunction:
         Port("orientation_error", (), "rad", "predicted angle from the target"),
         Port("converged", (), "-", "both predicted errors are within the solver's tolerances", "bool"),
     )
-    return DeployedFunction("inverse_kinematics", solve, _pose("target"), outputs)
+    return DeployedFunction("inverse_kinematics", solve, (_pose("target"),), outputs)
 
 
 def in_precision(robot: Robot, precision: Precision) -> Robot:

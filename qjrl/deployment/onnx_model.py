@@ -35,13 +35,13 @@ def onnx_bytes(robot: Robot, model: ForwardModel, deployed: DeployedFunction, pr
     import jax2onnx
 
     function = _batched_forward_model(in_precision(robot, precision), model)
-    with jax.disable_jit(), _quiet("onnx_ir"):  # jax2onnx 0.17 cannot enter the nested jits of jax 0.12
+    with jax.disable_jit(), quiet("onnx_ir"):  # jax2onnx 0.17 cannot enter the nested jits of jax 0.12
         graph: Any = jax2onnx.to_onnx(
             function,
-            [("batch", *deployed.input.shape)],
+            [("batch", *port.shape) for port in deployed.inputs],
             model_name=deployed.name,
             opset=OPSET,
-            input_names=[deployed.input.name],
+            input_names=[port.name for port in deployed.inputs],
             output_names=[port.name for port in deployed.outputs],
             enable_double_precision=precision == "float64",
         )
@@ -72,7 +72,7 @@ def _batched_forward_model(robot: Robot, model: ForwardModel) -> Callable[[jax.A
 
 
 @contextmanager
-def _quiet(name: str) -> Iterator[None]:
+def quiet(name: str) -> Iterator[None]:
     """onnx_ir warns of every constant that has a shape and no type yet; the checked file has all types."""
     logger = logging.getLogger(name)
     before = logger.level

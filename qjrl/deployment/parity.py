@@ -18,7 +18,7 @@ from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths
 
-LoadedFunction = Callable[[Any], Mapping[str, Any]]
+LoadedFunction = Callable[..., Mapping[str, Any]]
 Report = dict[str, dict[str, float]]
 """Set of rows -> measured numbers."""
 

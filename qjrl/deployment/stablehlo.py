@@ -11,15 +11,15 @@ from qjrl.deployment.functions import DeployedFunction, Precision
 
 
 def serialise(deployed: DeployedFunction, precision: Precision, platforms: tuple[str, ...]) -> bytes:
-    """The file of a function: (batch, *sample) -> dict of (batch, *output); `jax.export.deserialize` reads it."""
+    """The file of a function: (batch, *sample), ... -> dict of (batch, *output); `jax.export.deserialize` reads it."""
     (batch,) = export.symbolic_shape("batch")
-    argument = jax.ShapeDtypeStruct((batch, *deployed.input.shape), precision)
+    arguments = [jax.ShapeDtypeStruct((batch, *port.shape), port.dtype or precision) for port in deployed.inputs]
     with jax.default_matmul_precision("highest"), _without_places():
-        exported = export.export(jax.jit(jax.vmap(deployed.function)), platforms=platforms)(argument)
+        exported = export.export(jax.jit(jax.vmap(deployed.function)), platforms=platforms)(*arguments)
         return bytes(exported.serialize())
 
 
-def load(content: bytes) -> Callable[[Any], dict[str, jax.Array]]:
+def load(content: bytes) -> Callable[..., dict[str, jax.Array]]:
     """The function in a file, as a user of the file gets it."""
     call: Any = jax.jit(export.deserialize(bytearray(content)).call)  # typed as if every function returned one array
     return call

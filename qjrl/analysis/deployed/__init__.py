@@ -1,0 +1,1 @@
+"""What a deployment looks like: latency, errors, flags, the arm in motion."""

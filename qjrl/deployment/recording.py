@@ -1,0 +1,100 @@
+"""The record of a deployment as arrays: written, read back, played again through a controller, and summed up."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from qjrl import artifacts
+from qjrl.artifacts import ArtifactError
+from qjrl.deployment.real_time import Played
+from qjrl.deployment.safety import FLAGS, GOOD, SafeController
+
+Record = Mapping[str, np.ndarray]
+"""The columns of `Played` for all periods below each other; `episode` (n,) says which; for every episode `target` (k, 9),
+`base_lengths` (k, num_cables), `lost_periods` (k,), `has_faults` (k,); and `control_period`, `robot_hash`."""
+
+_ROWS = tuple(field.name for field in dataclasses.fields(Played) if field.name != "lost_periods")
+_ABOUT = ("target", "base_lengths", "lost_periods", "has_faults", "control_period", "robot_hash", "episode")
+
+
+def as_record(
+    episodes: Sequence[Played],
+    target: np.ndarray,
+    base_lengths: np.ndarray,
+    has_faults: np.ndarray,
+    control_period: float,
+    robot_hash: str,
+) -> Record:
+    """The record of episodes, with the target (9,), base command (num_cables,) [m] of each."""
+    rows = {name: np.concatenate([getattr(one, name) for one in episodes]) for name in _ROWS}
+    about = {
+        "target": target,
+        "base_lengths": base_lengths,
+        "lost_periods": np.array([one.lost_periods for one in episodes]),
+        "has_faults": has_faults,
+        "control_period": np.array(control_period),
+        "robot_hash": np.array(robot_hash),
+        "episode": np.concatenate([np.full(len(one.period), number) for number, one in enumerate(episodes)]),
+    }
+    return about | rows
+
+
+def load_record(path: Path, robot_hash: str) -> Record:
+    """A record from its file.
+
+    Raises:
+        ArtifactError: there is none, it is not one, or it is another robot's.
+    """
+    columns = artifacts.load(path)
+    missing = [name for name in (*_ABOUT, *_ROWS) if name not in columns]
+    if missing:
+        raise ArtifactError(f"deploy.replay: {path} is no record of a deployment: it has no {missing[0]}")
+    if str(columns["robot_hash"]) != robot_hash:
+        raise ArtifactError(f"deploy.replay: {path} belongs to another robot")
+    return columns
+
+
+def replay(controller: SafeController, record: Record) -> dict[str, Any]:
+    """Put the recorded readings through a controller again: largest deviation of its commands [m], flags that differ."""
+    largest, flags = 0.0, 0
+    for episode, target in enumerate(record["target"]):
+        controller.begin(target, record["base_lengths"][episode])
+        for row in np.flatnonzero(record["episode"] == episode):
+            command, flag = controller.step(record["reading"][row], float(record["age"][row]))
+            largest = max(largest, float(np.max(np.abs(command - record["command"][row]))))
+            flags += int(flag != record["flag"][row])
+    return {
+        "episodes": len(record["target"]),
+        "steps": len(record["episode"]),
+        "command_deviation": largest,
+        "flags_that_differ": flags,
+    }
+
+
+def timing(record: Record) -> dict[str, Any]:
+    """Latency, jitter of the periods' begin, and what was missed, over all episodes."""
+    latency, lateness = 1e3 * record["latency"], 1e3 * record["lateness"]
+    quantiles = {
+        f"{name}_{label}_ms": float(np.quantile(values, share))
+        for name, values in (("latency", latency), ("jitter", lateness))
+        for label, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
+    }
+    return {
+        "periods": len(latency),
+        **quantiles,
+        "deadlines_missed": int(np.sum(latency + lateness > 1e3 * record["control_period"])),
+        "periods_lost": int(record["lost_periods"].sum()),
+    }
+
+
+def flagged(record: Record, episode: int) -> dict[str, int]:
+    """How often each flag stands in an episode, and the most periods in a row in which the last command was held."""
+    flags = record["flag"][record["episode"] == episode]
+    longest = current = 0
+    for is_bad in flags != GOOD:
+        current = current + 1 if is_bad else 0
+        longest = max(longest, current)
+    return {name: int(np.sum(flags == index)) for index, name in enumerate(FLAGS)} | {"longest_hold": longest}

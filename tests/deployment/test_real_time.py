@@ -1,0 +1,195 @@
+"""The loop, what it does with bad readings, its record and the replay; in time that is short but real."""
+
+import os
+import socket
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+from controllers import PERIOD, STEPS, arm, exported, targets
+
+from qjrl import artifacts
+from qjrl.artifacts import ArtifactError
+from qjrl.deployment.deploy import DeployConfig, deploy
+from qjrl.deployment.line import CORRUPT, LOST, NO_FAULT, FaultConfig, Line, draw_faults
+from qjrl.deployment.live_view import live_view
+from qjrl.deployment.real_time import on_one_core, play
+from qjrl.deployment.recording import as_record, flagged, load_record, replay, timing
+from qjrl.deployment.safety import BAD_ANSWER, GOOD, NOT_FINITE, STALE, SafeController
+
+READING, AGE = np.zeros((2, 2)), 0.0
+
+
+class Counting:
+    """Commands how often it was asked."""
+
+    def begin(self, target, base_lengths, reading):
+        self.first, self.count = reading, 0
+
+    def step(self, reading):
+        self.count += 1
+        return np.full(4, float(self.count) if self.count != 3 else np.inf)
+
+
+class Still:
+    """An arm that remembers when it was given what."""
+
+    timestep, pose, joint_positions = 0.004, np.zeros(9), np.zeros(1)
+
+    def __init__(self):
+        self.time, self.held = 0, []
+
+    def read(self):
+        return READING
+
+    def hold(self, lengths):
+        self.held.append((self.time, float(lengths[0])))
+
+    def advance(self, num_steps):
+        self.time += num_steps
+
+
+def safe(controller=None):
+    wrapped = SafeController(controller or Counting(), 0.015)
+    wrapped.begin(np.zeros(9), np.zeros(4))
+    return wrapped
+
+
+def test_bad_readings_hold_the_last_command_and_good_ones_go_on():
+    controller, bad = safe(), np.full((2, 2), np.nan)
+    asked = [(READING, 0.0), (READING, 0.02), (bad, 0.0), (bad, 1.0), (READING, 0.015), (READING, 0.0), (READING, 0.0)]
+    answers = [controller.step(*one) for one in asked]
+    assert [flag for _, flag in answers] == [GOOD, STALE, NOT_FINITE, STALE, GOOD, BAD_ANSWER, GOOD]
+    assert [command[0] for command, _ in answers] == [1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 4.0]
+
+
+def test_without_a_good_reading_the_arm_stays_at_home_and_begins_with_the_first_one():
+    inner = Counting()
+    controller = safe(inner)
+    command, flag = controller.step(READING, float("nan"))
+    assert flag == STALE and not command.any() and not hasattr(inner, "first")
+    controller.step(READING + 1.0, AGE)
+    np.testing.assert_array_equal(inner.first, READING + 1.0)
+
+
+def test_the_real_controller_survives_a_reading_that_is_not_finite():
+    """Asked in spite of it, it answers nothing finite and forgets that it was asked."""
+    files = exported().controllers["control_step.stablehlo"]
+    readings = 0.01 * np.random.default_rng(0).normal(size=(3, 2, 2))
+    commands = []
+    for is_asked in (False, True):
+        files.begin(targets()[0][0], targets()[1][0], readings[0])
+        files.step(readings[0])
+        if is_asked:
+            assert not np.isfinite(files.step(np.full((2, 2), np.nan))).all()
+        commands.append(files.step(readings[1]))
+    np.testing.assert_array_equal(*commands)
+
+
+def test_a_lost_reading_is_the_last_one_again_and_faults_are_drawn_as_configured():
+    line = Line(np.array([NO_FAULT, LOST, CORRUPT, NO_FAULT]))
+    received = [line.receive(step, READING + step, float(step)) for step in range(4)]
+    assert [stamp for _, stamp in received] == [0.0, 0.0, 2.0, 3.0]
+    assert received[1][0][0, 0] == 0.0 and np.isnan(received[2][0]).all() and received[3][0][0, 0] == 3.0
+    faults = draw_faults(FaultConfig(0.1, 3), 20_000, seed=0)
+    assert faults[0] == NO_FAULT and 0.1 < np.mean(faults != NO_FAULT) < 0.2
+    assert 0.8 < np.sum(faults == LOST) / np.sum(faults == CORRUPT) < 1.25
+
+
+def test_a_command_in_time_is_held_from_the_begin_of_its_period_and_a_late_one_from_when_it_comes():
+    class Slow(Counting):
+        def step(self, reading):
+            if self.count == 1:
+                time.sleep(2.3 * PERIOD)  # 46 ms: two periods go by, of the third 6 ms
+            return super().step(reading) if self.count != 2 else np.full(4, 9.0)
+
+    plant = Still()
+    played = play(safe(Slow()), plant, np.zeros(9), np.zeros(4), 6, PERIOD, Line(np.zeros(6, int)))
+    assert played.lost_periods == 2 and played.period.tolist()[:3] == [0, 1, 4]
+    assert plant.time == 6 * 5
+    assert plant.held[0][0] < 3 and 5 + 11 <= plant.held[1][0] <= 5 + 14
+    assert timing(as_record([played], np.zeros((1, 9)), np.zeros((1, 4)), np.array([False]), PERIOD, ""))[
+        "deadlines_missed"
+    ] >= 1  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def record():
+    """Two targets and the first again with faults, with the real files and the real arm."""
+    controller = SafeController(exported().controllers["control_step.stablehlo"], 0.015)
+    config = DeployConfig(faults=FaultConfig(0.1, 5))
+    episodes, has_faults = deploy(controller, arm(), targets(), STEPS, PERIOD, config, seed=1)
+    target, lengths = (np.concatenate([column, column[:1]]) for column in targets())
+    return as_record(episodes, target, lengths, has_faults, PERIOD, "this arm")
+
+
+def test_the_loop_keeps_its_clock_and_says_what_it_cost(record):
+    measured = timing(record)
+    assert measured["periods"] + measured["periods_lost"] == 3 * STEPS
+    assert 0.0 < measured["latency_p50_ms"] <= measured["latency_p99_ms"] <= measured["latency_max_ms"]
+    assert measured["jitter_p50_ms"] >= 0.0
+
+
+def test_the_injected_faults_are_the_flagged_ones_and_the_arm_still_arrives(record):
+    rows = record["episode"] == 2
+    faults = draw_faults(FaultConfig(0.1, 5), STEPS, 1)[record["period"][rows]]
+    flags = record["flag"][rows]
+    assert np.all(flags[faults == NO_FAULT] == GOOD) and np.all(flags[faults != NO_FAULT] != GOOD)
+    counted = flagged(record, 2)
+    assert counted["good"] + counted["stale"] + counted["not_finite"] == np.sum(rows)
+    held = np.flatnonzero(rows)[1:][flags[1:] != GOOD]
+    np.testing.assert_array_equal(record["command"][held], record["command"][held - 1])
+    missing = np.linalg.norm(record["pose"][:, :3] - record["target"][record["episode"], :3], axis=1)
+    last = [np.flatnonzero(record["episode"] == episode)[-1] for episode in range(3)]
+    assert missing[last].max() < 0.02 and not flagged(record, 0)["stale"]
+
+
+def test_a_replay_repeats_every_command_bit_for_bit_and_notices_another(record, tmp_path):
+    controller = SafeController(exported().controllers["control_step.stablehlo"], 0.015)
+    artifacts.write_arrays(tmp_path / "log.npz", record)
+    found = replay(controller, load_record(tmp_path / "log.npz", "this arm"))
+    assert found == {
+        "episodes": 3, "steps": len(record["period"]), "command_deviation": 0.0, "flags_that_differ": 0
+    }  # fmt: skip
+    other = dict(record) | {"command": record["command"] + 1e-3}
+    assert replay(controller, other)["command_deviation"] == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_a_foreign_record_is_one_line(record, tmp_path):
+    artifacts.write_arrays(tmp_path / "log.npz", record)
+    with pytest.raises(ArtifactError, match="belongs to another robot"):
+        load_record(tmp_path / "log.npz", "another")
+    artifacts.write_arrays(tmp_path / "log.npz", {"pose": np.zeros(9)})
+    with pytest.raises(ArtifactError, match="is no record of a deployment: it has no target"):
+        load_record(tmp_path / "log.npz", "this arm")
+
+
+def test_the_view_is_served_on_loopback_alone():
+    plant, free = arm(), socket.socket()
+    free.bind(("127.0.0.1", 0))
+    port = free.getsockname()[1]
+    free.close()
+    with live_view(plant.stepper.model, port) as show:
+        show(plant)
+        page = urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=5).read()
+        served = urllib.request.urlopen(f"http://127.0.0.1:{port}/model", timeout=5).read()
+        lines = [line for name in ("tcp", "tcp6") for line in _lines(Path("/proc/net") / name)]
+        assert {line.split()[1] for line in lines if f":{port:04X} " in line and " 0A " in line} == {
+            f"0100007F:{port:04X}"
+        }
+        with pytest.raises(ArtifactError, match=f"deploy.port: got {port}"), live_view(plant.stepper.model, port):
+            pass
+    assert b"<html" in page.lower() and len(served) > 1000
+
+
+def _lines(path):
+    return path.read_text().splitlines()[1:] if path.exists() else []
+
+
+def test_one_core_is_given_back():
+    before = os.sched_getaffinity(0)
+    with on_one_core() as core:
+        assert os.sched_getaffinity(0) == {core}
+    assert os.sched_getaffinity(0) == before
