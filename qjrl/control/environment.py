@@ -1,7 +1,7 @@
 """The residual environment: many arms, each reaching one target with a base controller and a learned residual.
 
-A thin shell around the pure functions of `episode`; the physics is a stepper. Episodes end by the time limit alone
-(truncation). A diverged simulation is invalid and starts afresh.
+A thin shell around the pure functions of `episode`; the physics is a stepper. Episodes end by the time limit
+(truncation) unless the arm is lost (termination). A diverged simulation is invalid and starts afresh.
 """
 
 import dataclasses
@@ -19,6 +19,7 @@ from qjrl.control.episode import Bank, EnvironmentConfig, EpisodeState
 from qjrl.control.faults import Faults
 from qjrl.control.motors import action_size
 from qjrl.control.observations import ControlState, TrueState
+from qjrl.control.randomisation import RandomisationConfig
 from qjrl.learning.ppo.environment import Observation, Transition
 from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
@@ -51,14 +52,15 @@ class ResidualEnvironment:
         self._home_commands = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
         self.observation_sizes = {key: value.shape[1] for key, value in self.reset().items()}
 
-    def reset(self) -> Observation:
-        """Start every arm afresh, at rest at home."""
+    def reset(self, seed: int | None = None, is_spread: bool = True) -> Observation:
+        """Start every arm afresh, at rest at home; with another seed than its own, or without cutting first episodes short."""
         count = np.arange(self.num_envs)
         rows = np.full(self.num_envs, -1) if self._rows is None else np.asarray(self._rows)
-        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed)))(
+        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed if seed is None else seed)))(
             jnp.asarray(count if self._rows is None else rows)
         )
-        begun = self._compiled.begin(self._robot, self._bank, keys, rows, np.full(self.num_envs, self._rows is None))
+        is_first = np.full(self.num_envs, self._rows is None and is_spread)
+        begun = self._compiled.begin(self._robot, self._bank, keys, rows, is_first)
         self._reset_physics(count, begun.parameters)
         everyone = np.arange(self.num_envs)
         replaced = dataclasses.replace(begun.state, key=jax.random.clone(begun.state.key))  # in every row
@@ -79,19 +81,22 @@ class ResidualEnvironment:
         outcome = self._compiled.observe(self._robot, planned, _truth(readout))
         self._state = outcome.state
         valid = np.array(readout.is_finite)
-        truncated = np.asarray(outcome.is_over) & valid
+        terminated = np.asarray(outcome.is_lost) & valid
+        truncated = np.asarray(outcome.is_over) & valid & ~terminated
+        diverged = {} if valid.all() else self._evidence(np.flatnonzero(~valid), planned, readout)
         final = observation = _as_numpy(outcome.observation)
-        ended = np.flatnonzero(truncated | ~valid)
+        ended = np.flatnonzero(terminated | truncated | ~valid)
         if len(ended):
             observation = self._start_again(ended, observation)
         return Transition(
             observation=observation,
             reward=np.where(valid, np.asarray(outcome.reward), 0.0).astype(np.float32),
-            terminated=np.zeros(self.num_envs, bool),
+            terminated=terminated,
             truncated=truncated,
             final_observation=final,
             valid=valid,
             metrics={name: np.where(valid, np.asarray(value), np.nan) for name, value in outcome.metrics.items()},
+            diverged=diverged,
         )
 
     def step_physics(self) -> None:
@@ -128,6 +133,20 @@ class ResidualEnvironment:
         self._held = np.asarray(jax.vmap(partial(strand_commands, self._robot))(faults.held))
         self._stepper.set_state(parts["physics"])
 
+    def _evidence(self, ids: np.ndarray, planned: EpisodeState, readout: Readout) -> dict[str, np.ndarray]:
+        """What arms `ids` were doing when they diverged: state, commands, parameters, the row of each an arm."""
+        own, physics = planned.control, self._stepper.get_state()
+        control = {"target": own.target, "base_lengths": own.base_lengths, "command": own.command, "step": own.step}
+        parts = {
+            "state": vars(readout),
+            "control": control,
+            "parameters": {field.name: physics[field.name] for field in dataclasses.fields(PhysicalParameters)},
+        }
+        rows = {
+            f"{part}/{name}": np.array(value)[ids] for part, values in parts.items() for name, value in values.items()
+        }
+        return {"copy": ids, "strand_commands": self._held[ids], **rows}
+
     def _start_again(self, ids: np.ndarray, observation: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """New episodes for arms `ids`; the observation of the others stays."""
         padded = np.resize(ids, _padded_size(len(ids), self.num_envs))  # repeats ids: few sizes to compile
@@ -160,12 +179,26 @@ class _Compiled:
 
 @cache
 def _compile(config: EnvironmentConfig) -> _Compiled:
+    """What is drawn matters to `begin` alone, but for the encoders' noise: other ranges compile nothing else again."""
+    begin = _compile_begin(EnvironmentConfig(**{name: getattr(config, name) for name in _BEGINS_WITH}))
+    same = RandomisationConfig(encoder_noise_deg=config.randomisation.encoder_noise_deg)
+    if config.randomisation != same:
+        return dataclasses.replace(_compile(dataclasses.replace(config, randomisation=same)), begin=begin)
     return _Compiled(
-        begin=jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0))),
+        begin=begin,
         restart=jax.jit(partial(_restart_some, jax.vmap(partial(episode.restart, config), in_axes=(None, 0, 0)))),
         command=jax.jit(jax.vmap(partial(episode.command, config), in_axes=(None, 0, 0))),
         observe=jax.jit(jax.vmap(partial(episode.observe, config), in_axes=(None, 0, 0))),
     )
+
+
+# All that `episode.begin` asks of its configuration: the others compile nothing again.
+_BEGINS_WITH = ("episode_steps", "control_period", "latest_arrival", "scored_time", "residual", "randomisation")
+
+
+@cache
+def _compile_begin(config: EnvironmentConfig) -> Callable[..., Any]:
+    return jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0)))
 
 
 def _restart_some(restart, robot: Robot, states: EpisodeState, fresh: EpisodeState, truth: TrueState, ids: jax.Array):
@@ -176,7 +209,9 @@ def _restart_some(restart, robot: Robot, states: EpisodeState, fresh: EpisodeSta
 
 def _truth(readout: Readout) -> TrueState:
     """What the observations need of a readout; jit copies the live arrays when it is called."""
-    return TrueState(readout.joint_positions, readout.strand_lengths, readout.strand_velocities, readout.pose)  # pyright: ignore[reportArgumentType]
+    return TrueState(
+        **{field.name: getattr(readout, field.name) for field in dataclasses.fields(TrueState)}  # pyright: ignore[reportArgumentType]
+    )
 
 
 def _as_numpy(arrays: Mapping[str, jax.Array]) -> dict[str, np.ndarray]:

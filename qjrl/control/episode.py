@@ -14,13 +14,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range
-from qjrl.control import controller, motors, tip_correction
+from qjrl.control import controller, motors, termination, tip_correction
 from qjrl.control.controller import ControllerConfig
 from qjrl.control.faults import Faults, draw_faults, transmit
 from qjrl.control.observations import ControlState, TrueState, critic_observation
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.rewards import RewardConfig, reward
 from qjrl.control.sensors import SETTLING, read_encoders
+from qjrl.control.termination import TerminationConfig
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY
 from qjrl.robot import configuration_from_joint_positions, strand_commands
@@ -43,6 +44,7 @@ class EnvironmentConfig:
     integral: tip_correction.IntegralConfig = tip_correction.IntegralConfig()
     residual: motors.ResidualConfig = motors.ResidualConfig()
     reward: RewardConfig = RewardConfig()
+    termination: TerminationConfig = TerminationConfig()
     randomisation: RandomisationConfig = RandomisationConfig()
 
     def __post_init__(self):
@@ -82,6 +84,8 @@ class EpisodeState:
     """The robot's own."""
     faults: Faults
     """Of which the robot knows nothing."""
+    overloaded: jax.Array
+    """Time for which a motor or a strand has been at its limit [s]."""
     initial_errors: jax.Array
     """(2,) position [m] and orientation [rad] error at the start."""
     episode_steps: jax.Array
@@ -105,6 +109,8 @@ class StepOutcome:
     observation: dict[str, jax.Array]
     reward: jax.Array
     is_over: jax.Array
+    """By the time limit."""
+    is_lost: jax.Array
     metrics: dict[str, jax.Array]
 
 
@@ -119,6 +125,7 @@ def begin(
     state = EpisodeState(
         control=control,
         faults=draw_faults(config.randomisation, robot, key_faults, control.command),
+        overloaded=jnp.zeros((), bank.base_lengths.dtype),
         initial_errors=jnp.zeros(2, bank.base_lengths.dtype),
         episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
         key=key_next,
@@ -148,17 +155,20 @@ def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth:
     """Sensors, feedback, reward and end of episode after the physics has moved."""
     reading, key_next = _read(config, robot, state, truth)
     control = controller.sense(config.controller, robot, state.control, reading)
-    state = dataclasses.replace(state, control=control, key=key_next)
+    overloaded = termination.overloaded_for(robot, state.overloaded, truth, config.control_period)
+    state = dataclasses.replace(state, control=control, overloaded=overloaded, key=key_next)
     has_arrived = controller.ramped_in(config.controller, robot, control) >= 1.0
     errors = _errors(truth, control)
+    is_lost = termination.is_lost(config.termination, robot, truth, overloaded)
     earned = reward(config.reward, errors[0], errors[1], control.actions[0], has_arrived)
+    earned = earned - jnp.where(is_lost, config.termination.cost, 0.0)
     metrics = {
         "position_error": errors[0],
         "orientation_error": errors[1],
         "residual": jnp.max(jnp.abs(control.residual)),
     }
     observation = _observation(config, robot, state, truth, errors)
-    return StepOutcome(state, observation, earned, control.step >= state.episode_steps, metrics)
+    return StepOutcome(state, observation, earned, control.step >= state.episode_steps, is_lost, metrics)
 
 
 def _read(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):

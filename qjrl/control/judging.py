@@ -18,7 +18,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 @dataclasses.dataclass(frozen=True)
 class Judgement:
-    """Means over the scored end of one episode a target; rows that diverged are not valid."""
+    """Means over the scored end of one episode a target; rows that diverged or whose arm was lost are not valid."""
 
     position_error: np.ndarray
     """(n,) [m]."""
@@ -64,7 +64,7 @@ class Judge:
                 tension = environment.strand_tension.copy()
             transition = environment.step(act(observation[ACTOR_KEY]))
             observation = transition.observation
-            is_valid &= transition.valid
+            is_valid &= transition.valid & ~np.asarray(transition.terminated)
             if step >= steps - self._config.scored_steps:
                 errors.append([transition.metrics["position_error"], transition.metrics["orientation_error"]])
             if advance:

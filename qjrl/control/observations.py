@@ -50,6 +50,7 @@ class TrueState:
     joint_positions: jax.Array
     strand_lengths: jax.Array
     strand_velocities: jax.Array
+    strand_tension: jax.Array
     pose: jax.Array
 
 

@@ -217,6 +217,11 @@ def test_a_diverged_simulation_is_invalid_starts_anew_and_spoils_no_other(env):
     transition = env.step(broken)
     others = [0, 1, 3]
     assert transition.valid.tolist() == [True, True, False, True]
+    assert sound.diverged == {} and transition.diverged["copy"].tolist() == [2]
+    assert np.isnan(transition.diverged["strand_commands"]).any()
+    friction = env.get_state()["physics/strand_friction"][2]
+    assert transition.diverged["state/pose"].shape == (1, 9)
+    assert transition.diverged["parameters/strand_friction"] != friction  # that of the arm before it began anew
     assert not np.any(transition.truncated[2]) and not np.any(transition.terminated)
     assert transition.reward[2] == 0.0 and np.isnan(transition.metrics["position_error"][2])
     for name, value in transition.observation.items():

@@ -39,6 +39,8 @@ class Transition:
     """(num_envs,) bool: False where the simulation diverged; such a step enters no update."""
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Name -> (num_envs,), for the log only; the same names at every step."""
+    diverged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    """What is known of the copies that are not valid, one row each; for those who look for the cause."""
 
 
 @runtime_checkable

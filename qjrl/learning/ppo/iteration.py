@@ -72,7 +72,7 @@ def run_iteration(
     collected = _collect(session, compiled, config, key_actions)
     record = session.episodes.summary() | _reward_record(collected.rollout)
     collecting = time.perf_counter() - start
-    _check_validity(record, int(state.iteration) + 1, config)
+    _check_validity(record, int(state.iteration) + 1, config, collected.diverged)
     state, losses = _learn(state, collected, compiled, config, num_iterations, key_update)
     state = dataclasses.replace(state, key=key_next)
     record |= {name: float(value) for name, value in losses.items()}  # waits for the device
@@ -169,11 +169,12 @@ def _reward_record(rollout: Rollout) -> Record:
     return {"reward": reward, "invalid": num_steps - num_valid, "invalid_fraction": 1 - num_valid / num_steps}
 
 
-def _check_validity(record: Record, iteration: int, config: PPOConfig) -> None:
+def _check_validity(record: Record, iteration: int, config: PPOConfig, diverged: dict[str, np.ndarray]) -> None:
     if record["invalid_fraction"] > config.max_invalid_fraction:
         raise TrainingDiverged(
             f"iteration {iteration}: {record['invalid_fraction']:.1%} of the steps diverged or were not finite, "
-            f"allowed: {config.max_invalid_fraction:.1%} (max_invalid_fraction)"
+            f"allowed: {config.max_invalid_fraction:.1%} (max_invalid_fraction)",
+            diverged,
         )
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -13,6 +13,9 @@ from flax import struct
 from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Observation, Transition, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
+
+# Of the steps in which copies diverge the first ones show the cause; the others are only counted.
+_MOST_STEPS_KEPT = 20
 
 
 @struct.dataclass
@@ -57,6 +60,8 @@ class Collected:
     final_places: tuple[np.ndarray, np.ndarray]
     """Step and environment of each of them."""
     environment_seconds: float
+    diverged: dict[str, np.ndarray]
+    """`Transition.diverged` of the first copies that diverged, and the step of the rollout; empty if nothing is known."""
 
 
 def make_act(networks: PPONetworks) -> Callable[[Any, Any, Any, jax.Array, Any], Action]:
@@ -90,7 +95,7 @@ def collect(
     """
     rollout = _empty(environment, num_steps)
     finite = np.ones((num_steps + 1, environment.num_envs), bool)
-    final_rows, seconds = [], 0.0
+    final_rows, diverged, seconds = [], [], 0.0
     for step in range(num_steps):
         observation, finite[step] = finite_rows(observation)
         action = act(observation[ACTOR_KEY], step)
@@ -101,6 +106,8 @@ def collect(
         seconds += time.perf_counter() - start
         _write_outcome(rollout, step, transition)
         final_rows.append(_cut_off(rollout, step, transition))
+        if transition.diverged and len(diverged) < _MOST_STEPS_KEPT:
+            diverged.append(_with_step(transition.diverged, step))
         episodes.add(transition)
         observation = transition.observation
     observation, finite[num_steps] = finite_rows(observation)
@@ -108,7 +115,8 @@ def collect(
     rollout.valid[:] &= finite[:-1] & (finite[1:] | rollout.terminated | rollout.truncated)
     rollout.reward[~rollout.valid] = 0
     places = np.nonzero(rollout.truncated)
-    return Collected(rollout, observation, np.concatenate(final_rows), (places[0], places[1]), seconds)
+    evidence = {name: np.concatenate([one[name] for one in diverged]) for name in diverged[0]} if diverged else {}
+    return Collected(rollout, observation, np.concatenate(final_rows), (places[0], places[1]), seconds, evidence)
 
 
 def finite_rows(observation: Observation) -> tuple[Observation, np.ndarray]:
@@ -158,6 +166,12 @@ def _write_outcome(rollout: Rollout, step: int, transition: Transition) -> None:
     rollout.terminated[step] = transition.terminated
     rollout.truncated[step] = np.asarray(transition.truncated) & ~rollout.terminated[step]
     rollout.valid[step] = np.asarray(transition.valid) & np.isfinite(rollout.reward[step])
+
+
+def _with_step(diverged: Mapping[str, np.ndarray], step: int) -> dict[str, np.ndarray]:
+    """The rows and the step of the rollout in which they diverged."""
+    count = len(next(iter(diverged.values())))
+    return {"rollout_step": np.full(count, step), **diverged}
 
 
 def _cut_off(rollout: Rollout, step: int, transition: Transition) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The PPO loop: iterate, evaluate, write down; it goes on where it stopped."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import orbax.checkpoint as ocp
@@ -8,6 +9,7 @@ import orbax.checkpoint as ocp
 from qjrl import artifacts, progress
 from qjrl.config import as_mapping
 from qjrl.learning import checkpoints as ckpt
+from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
@@ -17,7 +19,7 @@ from qjrl.learning.ppo.training_state import Session, initial_state, policy_of, 
 
 Evaluate = Callable[[Policy], Mapping[str, float | None]]
 
-POLICY, PROGRESS, CHECKPOINTS = "policy", "progress.jsonl", "checkpoints"
+POLICY, PROGRESS, CHECKPOINTS, DIVERGED = "policy", "progress.jsonl", "checkpoints", "diverged.npz"
 
 
 def train(
@@ -33,7 +35,8 @@ def train(
 
     Args:
         environment: reset here, or set back to the state of the latest checkpoint.
-        directory: gets `checkpoints/`, `progress.jsonl`, and the policy kept so far as `policy.npz` and `policy.json`.
+        directory: gets `checkpoints/`, `progress.jsonl`, and the policy kept so far as `policy.npz` and `policy.json`;
+            `diverged.npz`, where too many steps are invalid and the environment knows what the copies were doing.
         evaluate: metrics of the deterministic policy, asked for before the first iteration and at every checkpoint;
             in the records they are called `evaluation/NAME`. It must leave `environment` as it was.
         minimise: the metric of `evaluate` by which the policy to keep is chosen; None: the latest is kept.
@@ -72,11 +75,25 @@ def train(
                 if is_imitation:
                     session, record = run_imitation(session, config, seed)
                 else:
-                    session, record = run_iteration(session, compiled, config, num_iterations)
+                    with _evidence_in(directory):
+                        session, record = run_iteration(session, compiled, config, num_iterations)
                 due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == num_iterations
                 keep(session, record) if due else write(record)
                 advance(per_iteration, note=_note(record))
     return load_policy(directory / POLICY)
+
+
+@contextmanager
+def _evidence_in(directory: Path) -> Iterator[None]:
+    """Writes what a `TrainingDiverged` knows into the directory, and names the file in its message."""
+    try:
+        yield
+    except TrainingDiverged as error:
+        if not error.evidence:
+            raise
+        path = directory / DIVERGED
+        artifacts.write_arrays(path, error.evidence)
+        raise TrainingDiverged(f"{error}; states, commands and parameters: {path}", error.evidence) from error
 
 
 def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:

@@ -137,6 +137,26 @@ def test_too_many_diverged_steps_stop_the_training(tmp_path):
         train(environment, CONFIG, 0, tmp_path)
 
 
+class Telling(Diverging):
+    """... and say what they were doing."""
+
+    def step(self, actions):
+        ids = np.flatnonzero(np.arange(NUM_ENVS) % 2)
+        return dataclasses.replace(super().step(actions), diverged={"copy": ids, "commands": np.asarray(actions)[ids]})
+
+
+def test_what_diverged_copies_were_doing_is_written_where_the_message_says(tmp_path):
+    with pytest.raises(
+        TrainingDiverged, match=rf"allowed: 5.0% .*states, commands and parameters: {tmp_path}/diverged"
+    ):
+        train(Telling(a_sign, lambda seen, action: seen), CONFIG, 0, tmp_path)
+    found = load(tmp_path / "diverged.npz")
+    per_step, steps = NUM_ENVS // 2, CONFIG.unroll_length
+    assert found["rollout_step"].tolist() == np.repeat(np.arange(steps), per_step).tolist()
+    np.testing.assert_array_equal(found["copy"], np.tile(np.arange(1, NUM_ENVS, 2), steps))
+    assert found["commands"].shape == (per_step * steps, 1) and np.isfinite(found["commands"]).all()
+
+
 def test_rewards_that_are_not_finite_count_as_diverged(tmp_path):
     environment = ProbeEnvironment(a_sign, lambda seen, action: np.where(seen > 0, np.float32(np.nan), seen))
     with pytest.raises(TrainingDiverged, match="iteration 1"):

@@ -1,0 +1,51 @@
+"""When an arm is lost, and its episode ends for good: motors that cannot hold it, or joints forced past their stops.
+
+Other than a time limit, which cuts an episode off, this is an end after which nothing comes.
+"""
+
+import dataclasses
+import math
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+
+from qjrl.config import Range
+from qjrl.control.observations import TrueState
+from qjrl.control.sensors import rotation_vectors
+from qjrl.geometry.rotations import safe_norm
+from qjrl.robot import configuration_from_joint_positions
+from qjrl.robot.verbs import Robot
+
+
+@dataclasses.dataclass(frozen=True)
+class TerminationConfig:
+    """All ours; an arm that follows commands within its limits comes near none of it."""
+
+    overload_time: Annotated[float, Range(low=0.0)] = 0.2
+    """A motor at its force, or a strand at its strength, for longer than this loses the arm [s]."""
+    excess_deg: Annotated[float, Range(above=0.0)] = 3.0
+    """So does a joint that is bent further than this beyond its stop [deg]."""
+    cost: Annotated[float, Range(low=0.0)] = 40.0
+    """Taken off the reward of the step that loses the arm: more than an episode can cost otherwise, lest the end be sought."""
+
+
+def is_overloaded(robot: Robot, truth: TrueState) -> jax.Array:
+    """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N], loop by loop."""
+    loops = truth.strand_tension.reshape(-1, 2)
+    stalls = jnp.any(jnp.abs(loops[:, 0] - loops[:, 1]) >= robot.config.motors.force)
+    return stalls | jnp.any(loops >= robot.config.strands.strength)
+
+
+def overloaded_for(robot: Robot, before: jax.Array, truth: TrueState, period: float) -> jax.Array:
+    """Time [s] for which the arm has been overloaded without a break, one control period after it was `before`."""
+    return jnp.where(is_overloaded(robot, truth), before + period, 0.0)
+
+
+def is_lost(config: TerminationConfig, robot: Robot, truth: TrueState, overloaded: jax.Array) -> jax.Array:
+    """Whether the arm is lost, `overloaded` being what `overloaded_for` says [s]."""
+    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    angles = jax.vmap(safe_norm)(rotation_vectors(bends))
+    joint = robot.config.joint
+    furthest = math.radians(joint.bend_limit_deg + joint.stop_margin_deg + config.excess_deg)
+    return (overloaded > config.overload_time) | jnp.any(angles > furthest)

@@ -1,0 +1,83 @@
+import dataclasses
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from worlds import ARM, CONFIG, NUM_ENVS, bank
+
+from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.judging import Judge
+from qjrl.control.observations import TrueState
+from qjrl.control.termination import TerminationConfig, is_lost, overloaded_for
+from qjrl.robot import bends_from_angles, joint_positions
+from qjrl.simulation.stepping import MujocoStepper
+
+TERMINATION = TerminationConfig()
+STOP_DEG = ARM.config.joint.bend_limit_deg + ARM.config.joint.stop_margin_deg
+
+
+def seen(tension=15.0, bend_deg=0.0) -> TrueState:
+    """All strands at one tension, the second segment bent."""
+    bends = bends_from_angles(jnp.array([0.0, 0.7]), jnp.array([0.0, math.radians(bend_deg)]))
+    strands = jnp.full(ARM.num_strands, tension)
+    return TrueState(joint_positions(ARM, bends), strands, strands, strands, jnp.zeros(9))
+
+
+def weak_arm(force: float):
+    """Its motors give way at so many newtons between the two strands of a loop."""
+    motors = dataclasses.replace(ARM.config.motors, force=force)
+    return dataclasses.replace(ARM, config=dataclasses.replace(ARM.config, motors=motors))
+
+
+@pytest.mark.parametrize(("beyond", "lost"), [(-1.0, False), (2.9, False), (3.1, True)])
+def test_an_arm_is_lost_when_a_joint_is_forced_past_its_stop(beyond, lost):
+    assert bool(is_lost(TERMINATION, ARM, seen(bend_deg=STOP_DEG + beyond), jnp.zeros(()))) is lost
+
+
+def test_an_overload_counts_from_its_beginning_and_a_break_starts_it_again():
+    motors = ARM.config.motors.force
+    pulled = dataclasses.replace(seen(), strand_tension=seen().strand_tension.at[3].add(motors))
+    time, found = jnp.zeros(()), []
+    for truth in (pulled, pulled, seen(), pulled):
+        time = overloaded_for(ARM, time, truth, 0.02)
+        found.append(float(time))
+    assert found == pytest.approx([0.02, 0.04, 0.0, 0.02])
+    assert float(overloaded_for(ARM, jnp.ones(()), seen(tension=ARM.config.strands.strength), 0.02)) > 1.0
+    assert float(overloaded_for(ARM, jnp.ones(()), seen(tension=0.99 * ARM.config.strands.strength), 0.02)) == 0.0
+
+
+def test_an_arm_is_lost_when_the_overload_lasts():
+    assert not is_lost(TERMINATION, ARM, seen(), jnp.asarray(0.2))
+    assert is_lost(TERMINATION, ARM, seen(), jnp.asarray(0.22))
+
+
+def test_an_arm_whose_motors_give_way_terminates_at_its_cost_and_begins_anew():
+    """Nothing else differs from the arm whose motors hold: transitions are the same up to the end."""
+    config = dataclasses.replace(CONFIG, termination=TerminationConfig(overload_time=0.1))
+    everyone = np.arange(NUM_ENVS)
+    strong, weak = (
+        ResidualEnvironment(arm, config, bank(), MujocoStepper(ARM, NUM_ENVS), 0, everyone)
+        for arm in (ARM, weak_arm(2.0))
+    )
+    idle = np.zeros((NUM_ENVS, ARM.num_cables), np.float32)
+    for env in (strong, weak):
+        env.reset()
+    ended = np.full(NUM_ENVS, -1)
+    for step in range(CONFIG.episode_steps - 1):
+        one, other = strong.step(idle), weak.step(idle)
+        new = other.terminated & (ended < 0)
+        assert not other.truncated.any() and not one.terminated.any() and other.valid.all()
+        going = ended < 0
+        np.testing.assert_allclose(other.reward[going], one.reward[going] - 40.0 * new[going], rtol=1e-6)
+        np.testing.assert_array_equal(other.final_observation["state"][going], one.final_observation["state"][going])
+        assert np.all(weak.commands[new] == 0.0)
+        ended[new] = step
+    assert ended.max() >= 5 and ended[ended >= 0].min() >= 5  # not before it has lasted 0.1 s
+
+
+def test_a_lost_arm_is_not_valid_when_it_is_judged():
+    config = dataclasses.replace(CONFIG, termination=TerminationConfig(overload_time=0.1))
+    judge = Judge(weak_arm(2.0), config, bank(NUM_ENVS), MujocoStepper(ARM, NUM_ENVS), 0)
+    found = judge.judge()
+    assert not found.is_valid.all()
