@@ -39,6 +39,13 @@ STAGES: dict[str, Stage] = {
         reads=("sample", "forward_model", "ik", "policy"),
         writes="compare",
     ),
+    "robustness": Stage(
+        "qjrl.stages.robustness",
+        "judge base, rivals and policy under disturbances",
+        reads=("ik", "policy"),
+        writes="robustness",
+        default=False,
+    ),
     "open_loop": Stage(
         "qjrl.stages.open_loop",
         "settle FABRIK's, least squares' and the learned IK's commands",

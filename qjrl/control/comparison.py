@@ -1,6 +1,6 @@
 """Every controller on the same held-out targets: same physics, same randomisation, same noise."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -25,6 +25,8 @@ def compare_controllers(
     targets: Mapping[str, np.ndarray],
     seed: int,
     advance=None,
+    bases: Sequence[Base] = BASES,
+    is_minimal: bool = False,
 ) -> dict[tuple[str, str], tuple[Judgement, int]]:
     """(target set, controller) -> judgement, and how many targets were left out.
 
@@ -32,11 +34,13 @@ def compare_controllers(
         config: as the policy was trained.
         targets: columns of `ik/held_out.npz`. Left out are targets at which one of the base commands arrives too
             late, and those on which any controller's simulation diverged: all controllers keep the same rows.
+        bases: those judged beside the policy.
+        is_minimal: judge in the arm's own equations instead of the engine of `simulation`.
     """
-    controllers: list[tuple[Base, Act | None]] = [*((base, None) for base in BASES), (config.base, acting(policy))]
-    in_time = [arrives_in_time(robot, config.environment, targets[command_column(base)]) for base in BASES]
+    controllers: list[tuple[Base, Act | None]] = [*((base, None) for base in bases), (config.base, acting(policy))]
+    in_time = [arrives_in_time(robot, config.environment, targets[command_column(base)]) for base, _ in controllers]
     rows = np.flatnonzero(np.all(in_time, axis=0))
-    found, stepper = {}, make_stepper(robot, len(rows), simulation)
+    found, stepper = {}, make_stepper(robot, len(rows), simulation, is_minimal)
     for base, act in controllers:
         of_base = environment_of(config.environment, base)
         judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)

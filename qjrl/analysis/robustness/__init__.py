@@ -1,0 +1,1 @@
+"""Controllers under disturbances that none was made for: numbers, table, figure."""

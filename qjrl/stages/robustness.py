@@ -1,0 +1,67 @@
+"""Stage `robustness`: base, rivals and policy under disturbances that none was made for, on the same held-out targets."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+from qjrl import artifacts, progress
+from qjrl.analysis.canvas import save_png
+from qjrl.analysis.controllers.outcomes import Outcome
+from qjrl.analysis.robustness.figures import errors_by_disturbance
+from qjrl.analysis.robustness.report import robustness_metrics, robustness_table
+from qjrl.analysis.tables import as_markdown, as_text
+from qjrl.control.bases import controller_name
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.robustness import RobustnessConfig, disturbances, judge_disturbed
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.policy import load_policy
+from qjrl.robot import robot_from_mapping
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settling import SLACK_TENSION
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    policy: PolicyConfig
+    robustness: RobustnessConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `outcomes.npz`, `table.md` and a figure for every target set; table and verdict go to the log."""
+    robot, settings = robot_from_mapping(config.robot), config.robustness
+    targets = artifacts.load(inputs["ik"] / "held_out.npz")
+    policy = load_policy(inputs["policy"] / "policy")
+    rows = len(disturbances(settings, config.policy.environment)) * len(targets["target"])
+    controllers = 1 + len({*settings.bases, config.policy.base})
+    with progress.track(controllers * rows * config.policy.environment.episode_steps, "disturbing") as advance:
+        judged = judge_disturbed(
+            robot, config.simulation, config.policy, settings, policy, targets, config.seed, advance
+        )
+    found = {disturbance: [_outcome(*key, *value) for key, value in one.items()] for disturbance, one in judged.items()}
+    names = controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
+    metrics, table = robustness_metrics(found, *names), robustness_table(found, *names)
+    artifacts.write_json(out / "metrics.json", metrics)
+    artifacts.write_arrays(
+        out / "outcomes.npz",
+        {
+            f"{disturbance}/{outcome.target_set}/{outcome.controller}/{quantity}": getattr(outcome, quantity)
+            for disturbance, outcomes in found.items()
+            for outcome in outcomes
+            for quantity in ("position_error", "orientation_error")
+        },
+    )
+    artifacts.write_bytes(out / "table.md", as_markdown(table).encode())
+    for target_set in TARGET_SETS:
+        save_png(errors_by_disturbance(found, target_set), out / f"{target_set}.png", dpi=110)
+    log.info("%s\n%s", as_text(table), metrics["verdict"])
+
+
+def _outcome(target_set: str, controller: str, judgement, left_out: int) -> Outcome:
+    tension = judgement.strand_tension
+    errors = judgement.position_error, judgement.orientation_error
+    return Outcome(controller, target_set, *errors, tension, tension < SLACK_TENSION, left_out)

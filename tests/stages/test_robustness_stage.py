@@ -1,0 +1,67 @@
+"""The stage on the two-segment arm, in its own equations; slow, as every disturbance compiles its draws."""
+
+import numpy as np
+import pytest
+from arms import arm_named, over_rows, random_bends
+
+from qjrl import artifacts
+from qjrl.config import conf_folder, read_yaml
+from qjrl.control.bases import bank_of, environment_of
+from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.episode import EnvironmentConfig
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.robustness import UNDISTURBED, RobustnessConfig
+from qjrl.learning.ppo.environment import ACTOR_KEY
+from qjrl.learning.ppo.policy import Policy, save_policy
+from qjrl.robot import cable_lengths, forward_kinematics
+from qjrl.simulation.minimal_stepping import MinimalStepper
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stages import robustness as stage
+
+pytestmark = pytest.mark.slow
+
+ARM, COUNT = arm_named("qj_22"), 6
+POLICY = PolicyConfig(environment=EnvironmentConfig(episode_steps=120, latest_arrival=1.5, scored_time=0.2))
+
+
+def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(tmp_path):
+    bends = random_bends(ARM, COUNT, share=0.4)
+    targets, lengths = over_rows(forward_kinematics, ARM, bends), over_rows(cable_lengths, ARM, bends)
+    (tmp_path / "ik").mkdir()
+    held_out = {"target": targets, "target_set": np.repeat([0, 1], COUNT // 2), "learned_lengths": lengths}
+    artifacts.write_arrays(tmp_path / "ik" / "held_out.npz", held_out)
+    of_base = environment_of(POLICY.environment, POLICY.base)
+    environment = ResidualEnvironment(
+        ARM, of_base, bank_of(held_out, "learned", np.arange(COUNT)), MinimalStepper(ARM, COUNT), 0
+    )
+    size, actions = environment.observation_sizes[ACTOR_KEY], environment.action_size
+    idle = {
+        "hidden_0": {"kernel": np.zeros((size, 2 * actions), np.float32), "bias": np.zeros(2 * actions, np.float32)}
+    }
+    ones = np.ones(size, np.float32)
+    (tmp_path / "policy").mkdir()
+    policy = Policy(idle, 0 * ones, ones, activation="tanh", observation_clip=10.0)
+    save_policy(tmp_path / "policy" / "policy", policy)
+    out = tmp_path / "out"
+    robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
+    settings = RobustnessConfig(bases=("learned",), engine="minimal")
+    inputs = {"ik": tmp_path / "ik", "policy": tmp_path / "policy"}
+    stage.run(stage.Config(robot, SettleConfig(), POLICY, settings, 0), inputs, out)
+    metrics = artifacts.load(out / "metrics.json")
+    assert metrics["exceptions"] == [] and len(metrics["disturbances"]) == 9
+    columns = artifacts.load(out / "outcomes.npz")
+    for disturbance in metrics["disturbances"]:
+        base, idle_policy, plain = (
+            columns[f"{disturbance}/uniform/{name}/position_error"]
+            for name in ("learned_ik+dither", "learned_ik+dither+residual", "learned_ik")
+        )
+        np.testing.assert_array_equal(base, idle_policy)
+        undisturbed = columns[f"{UNDISTURBED}/uniform/learned_ik/position_error"]
+        # A delay that has passed and encoders that nobody asks leave the plain base where it was.
+        if disturbance in (UNDISTURBED, "one dead encoder"):
+            np.testing.assert_array_equal(plain, undisturbed)
+        else:
+            assert np.all(plain != undisturbed), disturbance
+    for name in ("uniform.png", "near_home.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+    assert "one dead encoder" in (out / "table.md").read_text()
