@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.learning.divergence import TrainingDiverged
+from qjrl.learning.ppo import sharding
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
@@ -31,6 +32,8 @@ class Compiled:
 
     initialise: Callable[[jax.Array], Any]
     act: Callable[..., Any]
+    place: Callable[[Rollout], Rollout]
+    """Puts a rollout where the two updates want it."""
     update_normaliser: Callable[..., Any]
     value: Callable[..., jax.Array]
     update: Callable[..., Any]
@@ -47,12 +50,17 @@ def compile_functions(config: PPOConfig, environment: VectorEnv) -> Compiled:
 @functools.cache
 def _compile_functions(config: PPOConfig, sizes: tuple[tuple[str, int], ...], action_size: int) -> Compiled:
     networks = make_networks(config, dict(sizes), action_size)
+    place, take_in, update = jax.device_put, jax.jit(update_normaliser), make_update(networks, config)
+    if jax.device_count() > 1:  # the updates cut the rollout themselves
+        mesh = sharding.device_mesh()
+        place, take_in, update = lambda it: it, sharding.normaliser_on(mesh, take_in), sharding.update_on(mesh, update)
     return Compiled(
         initialise=jax.jit(lambda key: initial_parameters(networks, config.initial_std, key)),
         act=make_act(networks),
-        update_normaliser=jax.jit(update_normaliser),
+        place=place,
+        update_normaliser=take_in,
         value=jax.jit(networks.value_network.apply),
-        update=make_update(networks, config),
+        update=update,
     )
 
 
@@ -130,7 +138,7 @@ def _learn(
     adaptive rate to its floor (measured on the residual environment). An untrained actor ignores its observation, so
     the first rollout can be, and is, taken in before anything is learned.
     """
-    rollout = jax.device_put(collected.rollout)
+    rollout = compiled.place(collected.rollout)
     updated = compiled.update_normaliser(state.normaliser, rollout.observation, rollout.valid)
     normaliser = updated if int(state.iteration) == 0 else state.normaliser
     final_values = value_of_cut_off(compiled.value, normaliser, state.learner.parameters["value"], collected)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+import jax
 import orbax.checkpoint as ocp
 
 from qjrl import artifacts, progress
@@ -103,6 +104,9 @@ def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:
         raise ValueError(
             f"imitation.rounds: got {config.imitation.rounds}, allowed: 0, this environment gives no advice"
         )
+    devices = jax.local_device_count()
+    if environment.num_envs % devices:
+        raise ValueError(f"num_envs: got {environment.num_envs}, allowed: a multiple of the {devices} devices")
     per_iteration = config.unroll_length * environment.num_envs
     if per_iteration < config.num_minibatches:
         steps = f"unroll_length {config.unroll_length} x {environment.num_envs} environments"
