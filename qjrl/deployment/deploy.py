@@ -1,15 +1,15 @@
 """The deployment of a controller: a few targets in real time, then one of them again with faults on the line."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated, Protocol
 
 import numpy as np
 
 from qjrl.config import Range
 from qjrl.deployment.controller_export import ControllerExportConfig
-from qjrl.deployment.line import FaultConfig, Line, draw_faults
-from qjrl.deployment.real_time import Plant, Played, on_one_core, play
+from qjrl.deployment.line import NO_FAULT, FaultConfig, Line, draw_faults
+from qjrl.deployment.real_time import Plant, Played, Schedule, on_one_core, play
 from qjrl.deployment.safety import SafeController
 
 
@@ -23,6 +23,8 @@ class DeployConfig:
     """A reading older than this is stale [s]; less than a control period, so that a frame seen twice is."""
     accepted_latency: Annotated[float, Range(above=0.0)] = 0.002
     """99th percentile of the controller's latency that counts as good [s]."""
+    has_priority: bool = False
+    """Let the loop go before all processes that are not real-time (Linux, needs the right to), so that others cannot delay it."""
     files: ControllerExportConfig = ControllerExportConfig()
     faults: FaultConfig = FaultConfig()
     replay: str = ""
@@ -45,30 +47,22 @@ def deploy(
     controller: SafeController,
     arm: Homed,
     targets: tuple[np.ndarray, np.ndarray],
-    num_periods: int,
-    period: float,
+    schedule: Schedule,
     config: DeployConfig,
     seed: int,
     show: Callable[[Plant], None] | None = None,
-    advance: Callable[[int], None] | None = None,
-) -> tuple[list[Played], np.ndarray]:
-    """Every target in turn, on one core; the last episode is the first target with faults.
+) -> Iterator[Played]:
+    """Every target in turn, on one core, then the first one again with faults.
 
     Args:
         targets: poses (k, 9) and base commands (k, num_cables) [m].
-        advance: called with the periods that were played.
-    Returns:
-        The episodes and which of them had faults.
+        seed: of the faults.
     """
-    rows = [*range(len(targets[0])), 0]
-    has_faults = np.array([False] * len(targets[0]) + [True])
-    episodes = []
-    with on_one_core():
-        for row, is_faulty in zip(rows, has_faults, strict=True):
-            faults = draw_faults(config.faults, num_periods, seed) if is_faulty else np.zeros(num_periods, int)
+    tasks = list(zip(*targets, strict=True))
+    sound = np.full(schedule.num_periods, NO_FAULT)
+    faults = [sound] * len(tasks) + [draw_faults(config.faults, schedule.num_periods, seed)]
+    rows = [*range(len(tasks)), 0]
+    with on_one_core(config.has_priority):
+        for row, of_episode in zip(rows, faults, strict=True):
             arm.home(row)
-            played = play(controller, arm, targets[0][row], targets[1][row], num_periods, period, Line(faults), show)
-            episodes.append(played)
-            if advance:
-                advance(num_periods)
-    return episodes, has_faults
+            yield play(controller, arm, tasks[row], schedule, Line(of_episode), show)

@@ -23,9 +23,14 @@ def onnx_bytes(deployed: DeployedFunction, precision: Precision) -> bytes:
 
     arguments = [jax.ShapeDtypeStruct(port.shape, port.dtype or precision) for port in deployed.inputs]
     names = [port.name for port in deployed.outputs]
+
+    def listed(*arrays: Any) -> list[Any]:
+        outputs = deployed.function(*arrays)
+        return [outputs[name] for name in names]
+
     with jax.enable_x64(precision == "float64"), quiet("onnx_ir"):
         graph: Any = jax2onnx.to_onnx(
-            plain_operations(lambda *arrays: [deployed.function(*arrays)[name] for name in names], arguments),
+            plain_operations(listed, arguments),
             arguments,
             model_name=deployed.name,
             opset=OPSET,
@@ -57,7 +62,7 @@ def plain_operations(function: Callable[..., Any], arguments: list[Any]) -> Call
     """The same function as a list of operations without calls and loops, those on constants alone done beforehand."""
     with jax.disable_jit():
         traced = jax.make_jaxpr(function)(*arguments)
-    return lambda *arrays: _evaluate(traced, arrays)
+    return lambda *arrays: _told_apart(_evaluate(traced, arrays), arrays[0])
 
 
 def _evaluate(traced: Any, arrays: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -70,6 +75,22 @@ def _evaluate(traced: Any, arrays: tuple[Any, ...]) -> tuple[Any, ...]:
         several = equation.primitive.multiple_results
         values |= zip(equation.outvars, found if several else [found], strict=True)
     return tuple(value_of(one) for one in traced.jaxpr.outvars)
+
+
+def _told_apart(outputs: tuple[Any, ...], example: Any) -> tuple[Any, ...]:
+    """The outputs with a zero of the input added to constants and repetitions: jax2onnx gives a value one name."""
+    seen, distinct = set(), []
+    for output in outputs:
+        if not isinstance(output, Tracer) or id(output) in seen:
+            output = jax.lax.add(output, jax.lax.broadcast(_zero_of(example, output.dtype), output.shape))
+        seen.add(id(output))
+        distinct.append(output)
+    return tuple(distinct)
+
+
+def _zero_of(example: Any, dtype: Any) -> Any:
+    first = jax.lax.index_in_dim(jax.lax.reshape(example, (example.size,)), 0, keepdims=False)
+    return jax.lax.convert_element_type(jax.lax.mul(first, jax.lax.full_like(first, 0.0)), dtype)
 
 
 def _apply(primitive: Any, inputs: list[Any], parameters: dict[str, Any]) -> Any:

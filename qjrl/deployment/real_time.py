@@ -15,11 +15,16 @@ from typing import Protocol
 
 import numpy as np
 
+from qjrl.config import ConfigError
 from qjrl.deployment.line import Line
 from qjrl.deployment.safety import SafeController
 
 _SPIN = 0.0005
 """The clock is watched without sleeping for this long before a period begins [s]: sleep oversleeps."""
+
+
+_PRIORITY = 10
+"""Among real-time processes: below what the system itself runs."""
 
 
 class Plant(Protocol):
@@ -51,6 +56,26 @@ class Plant(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
+class Clock:
+    """What the loop keeps to."""
+
+    now: Callable[[], float] = time.perf_counter
+    """[s]."""
+    sleep: Callable[[float], None] = time.sleep
+
+
+@dataclasses.dataclass(frozen=True)
+class Schedule:
+    """When the controller is asked."""
+
+    num_periods: int
+    """Of an episode."""
+    period: float
+    """[s]."""
+    clock: Clock = Clock()
+
+
+@dataclasses.dataclass(frozen=True)
 class Played:
     """The record of one episode, a row for every period in which the controller was asked; times since its begin."""
 
@@ -79,35 +104,33 @@ class Played:
 def play(
     controller: SafeController,
     plant: Plant,
-    target: np.ndarray,
-    base_lengths: np.ndarray,
-    num_periods: int,
-    period: float,
+    task: tuple[np.ndarray, np.ndarray],
+    schedule: Schedule,
     line: Line,
     show: Callable[[Plant], None] | None = None,
 ) -> Played:
-    """One episode: the arm is at home and reaches for a target (9,) with the base command (num_cables,) [m].
+    """One episode: the arm is at home and reaches for a target.
 
     Args:
+        task: the target's pose (9,) and its base command (num_cables,) [m].
         show: called in every period after the command, for a viewer.
     """
+    controller.begin(*task)
+    clock, period = schedule.clock, schedule.period
+    substeps, number, lost = round(period / plant.timestep), 0, 0
     rows: list[tuple] = []
-    controller.begin(target, base_lengths)
-    substeps = round(period / plant.timestep)
-    number, lost = 0, 0
-    begin = time.perf_counter() + period
-    while number < num_periods:
+    begin = clock.now() + period
+    while number < schedule.num_periods:
         due = begin + number * period
-        _wait_until(due)
-        now = time.perf_counter()
-        record = (plant.pose, plant.joint_positions)
+        _wait_until(clock, due)
+        now, pose, positions = clock.now(), plant.pose, plant.joint_positions
         reading, stamp = line.receive(number, plant.read(), now)
-        asked = time.perf_counter()
-        age = now - stamp
-        command, flag = controller.step(reading, age)
-        latency = time.perf_counter() - asked
-        rows.append((number, now - due, latency, age, reading, flag, command, *record))
-        late = min(int((now - due + latency) / plant.timestep), substeps * (num_periods - number))
+        asked = clock.now()
+        command, flag = controller.step(reading, now - stamp)
+        latency = clock.now() - asked
+        rows.append((number, now - due, latency, now - stamp, reading, flag, command, pose, positions))
+        left = substeps * (schedule.num_periods - number)
+        late = min(int((now - due + latency) / plant.timestep), left)
         plant.advance(late)  # with the command of before
         plant.hold(command)
         plant.advance(-late % substeps if late else substeps)
@@ -120,8 +143,14 @@ def play(
 
 
 @contextmanager
-def on_one_core() -> Iterator[int | None]:
-    """All threads of this process share one core, and no garbage is collected; yields the core, None where unknown."""
+def on_one_core(has_priority: bool = False) -> Iterator[int | None]:
+    """All threads of this process share one core, and no garbage is collected; yields the core, None where unknown.
+
+    Args:
+        has_priority: ask the system to let them go before all that is not real-time (SCHED_FIFO).
+    Raises:
+        ConfigError: it does not let us.
+    """
     if not hasattr(os, "sched_setaffinity"):
         yield None
         return
@@ -130,22 +159,35 @@ def on_one_core() -> Iterator[int | None]:
     gc.collect()
     gc.disable()
     try:
-        _bind_threads({core})
+        _for_all_threads(lambda thread: os.sched_setaffinity(thread, {core}))
+        if has_priority:
+            _go_before_others()
         yield core
     finally:
-        _bind_threads(allowed)
+        if has_priority:
+            _for_all_threads(lambda thread: os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0)))
+        _for_all_threads(lambda thread: os.sched_setaffinity(thread, allowed))
         gc.enable()
 
 
-def _bind_threads(cores: set[int]) -> None:
+def _go_before_others() -> None:
+    try:
+        _for_all_threads(lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(_PRIORITY)))
+    except PermissionError as error:
+        raise ConfigError(
+            "deploy.has_priority: got true, allowed: only with the right to real-time scheduling (root, ulimit -r)"
+        ) from error
+
+
+def _for_all_threads(apply: Callable[[int], None]) -> None:
     for thread in Path("/proc/self/task").iterdir():
         try:
-            os.sched_setaffinity(int(thread.name), cores)
+            apply(int(thread.name))
         except ProcessLookupError:  # it has ended
             continue
 
 
-def _wait_until(moment: float) -> None:
-    while (left := moment - time.perf_counter()) > 0.0:
+def _wait_until(clock: Clock, moment: float) -> None:
+    while (left := moment - clock.now()) > 0.0:
         if left > _SPIN:
-            time.sleep(left - _SPIN)
+            clock.sleep(left - _SPIN)

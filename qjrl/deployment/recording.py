@@ -21,20 +21,17 @@ _ABOUT = ("target", "base_lengths", "lost_periods", "has_faults", "control_perio
 
 
 def as_record(
-    episodes: Sequence[Played],
-    target: np.ndarray,
-    base_lengths: np.ndarray,
-    has_faults: np.ndarray,
-    control_period: float,
-    robot_hash: str,
+    episodes: Sequence[Played], targets: tuple[np.ndarray, np.ndarray], control_period: float, robot_hash: str
 ) -> Record:
-    """The record of episodes, with the target (9,), base command (num_cables,) [m] of each."""
+    """The record of a `deploy`ment: an episode for each of the targets (k, 9) and base commands (k, num_cables) [m], and the
+    first of them once more, with faults."""
     rows = {name: np.concatenate([getattr(one, name) for one in episodes]) for name in _ROWS}
+    target, base_lengths = (np.concatenate([column, column[:1]]) for column in targets)
     about = {
         "target": target,
         "base_lengths": base_lengths,
         "lost_periods": np.array([one.lost_periods for one in episodes]),
-        "has_faults": has_faults,
+        "has_faults": np.arange(len(target)) == len(target) - 1,
         "control_period": np.array(control_period),
         "robot_hash": np.array(robot_hash),
         "episode": np.concatenate([np.full(len(one.period), number) for number, one in enumerate(episodes)]),

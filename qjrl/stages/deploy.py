@@ -15,7 +15,7 @@ from qjrl.analysis.deployed.report import deployment_report, episode_table, head
 from qjrl.analysis.report import write_report
 from qjrl.analysis.tables import as_text
 from qjrl.analysis.tracking.viewer import track_viewer
-from qjrl.config import as_mapping
+from qjrl.config import ConfigError, as_mapping
 from qjrl.control.bases import command_column, environment_of
 from qjrl.control.deployable import ControllerFunctions, checked_policy, controller_functions
 from qjrl.control.episode import EnvironmentConfig
@@ -27,6 +27,7 @@ from qjrl.deployment.controller_export import ControllerExport, export_files, wr
 from qjrl.deployment.controller_parity import Rehearsal
 from qjrl.deployment.deploy import DeployConfig, deploy
 from qjrl.deployment.functions import in_precision
+from qjrl.deployment.real_time import Schedule
 from qjrl.deployment.recording import Record, as_record, flagged, load_record, replay, timing
 from qjrl.deployment.safety import SafeController
 from qjrl.geometry.pose import row_errors
@@ -46,11 +47,16 @@ class Config:
     deploy: DeployConfig
     seed: int
 
+    def __post_init__(self):
+        replay = self.deploy.replay
+        if replay and not Path(replay).is_file():
+            raise ConfigError(f"deploy.replay: {replay} does not exist; give the log.npz of a deployment")
+
     @property
     def files(self) -> dict[str, str]:
         """The record that is replayed, and its hash."""
         path = Path(self.deploy.replay)
-        return {str(path): artifacts.hash_of_file(path)} if self.deploy.replay and path.is_file() else {}
+        return {str(path): artifacts.hash_of_file(path)} if self.deploy.replay else {}
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
@@ -95,11 +101,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
 
 def _where(replay: str, out: Path) -> Path:
     """The record, also where it lay in this stage's own directory, which has just been moved out of the way."""
-    path, previous = Path(replay), out.with_name(f"{out.name}.previous")
+    path = Path(replay)
     if not path.exists() and path.resolve().is_relative_to(out.resolve()):
-        path = previous / path.resolve().relative_to(out.resolve())
-    if not path.is_file():
-        raise artifacts.ArtifactError(f"deploy.replay: {replay} does not exist; give the log.npz of a deployment")
+        return out.with_name(f"{out.name}.previous") / path.resolve().relative_to(out.resolve())
     return path
 
 
@@ -155,9 +159,11 @@ def _play(
             from qjrl.deployment.live_view import live_view
 
             show = stack.enter_context(live_view(arm.stepper.model, settings.port))
-        episodes, has_faults = deploy(controller, arm, targets, steps, period, settings, config.seed, show, advance)
-    target, lengths = (np.concatenate([column, column[:1]]) for column in targets)
-    return as_record(episodes, target, lengths, has_faults, period, robot_hash(robot))
+        schedule, episodes = Schedule(steps, period), []
+        for played in deploy(controller, arm, targets, schedule, settings, config.seed, show):
+            episodes.append(played)
+            advance(steps)
+    return as_record(episodes, targets, period, robot_hash(robot))
 
 
 def _episodes(record: Record, position: np.ndarray, orientation: np.ndarray, scored_steps: int) -> list[dict]:

@@ -73,9 +73,9 @@ def rehearsal() -> Rehearsal:
 @functools.cache
 def deployed():
     """The functions in single precision, with their ports."""
-    inner = in_precision(ARM, "float32")
+    inner, trained = in_precision(ARM, "float32"), policy()
     with jax.enable_x64(False):
-        functions = controller_functions(CONFIG.controller, inner, policy())
+        functions = controller_functions(CONFIG.controller, inner, trained)
         return deployed_controller(inner, functions.begin, functions.step, "float32")
 
 

@@ -8,7 +8,7 @@ from controllers import CONFIG, policy, targets
 
 from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError, hash_of_file
-from qjrl.config import as_mapping, conf_folder, read_yaml
+from qjrl.config import ConfigError, as_mapping, conf_folder, read_yaml
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.deployment.controller_export import ControllerExportConfig
 from qjrl.deployment.deploy import DeployConfig
@@ -65,5 +65,5 @@ def test_a_deployment_is_written_whole_and_its_replay_is_exact(run_dir):
 def test_bad_input_is_one_line(run_dir):
     with pytest.raises(ArtifactError, match=r"deploy.num_targets: got 3, allowed: at most the 2 held-out targets"):
         run_stage(run_dir, num_targets=3)
-    with pytest.raises(ArtifactError, match=r"deploy.replay: nowhere.npz does not exist"):
+    with pytest.raises(ConfigError, match=r"deploy.replay: nowhere.npz does not exist"):
         run_stage(run_dir, replay="nowhere.npz")
