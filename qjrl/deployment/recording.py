@@ -10,7 +10,7 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.artifacts import ArtifactError
 from qjrl.deployment.real_time import Played
-from qjrl.deployment.safety import FLAGS, GOOD, SafeController
+from qjrl.deployment.safety import ASKED, FLAGS, GOOD, SafeController
 
 Record = Mapping[str, np.ndarray]
 """The columns of `Played` for all periods below each other; `episode` (n,) says which; for every episode `target` (k, 9),
@@ -72,11 +72,11 @@ def replay(controller: SafeController, record: Record) -> dict[str, Any]:
 
 
 def timing(record: Record) -> dict[str, Any]:
-    """Latency, jitter of the periods' begin, and what was missed, over all episodes."""
+    """Latency where the controller was asked, jitter of the periods' begin, and what was missed, over all episodes."""
     latency, lateness = 1e3 * record["latency"], 1e3 * record["lateness"]
     quantiles = {
         f"{name}_{label}_ms": float(np.quantile(values, share))
-        for name, values in (("latency", latency), ("jitter", lateness))
+        for name, values in (("latency", latency[np.isin(record["flag"], ASKED)]), ("jitter", lateness))
         for label, share in (("p50", 0.5), ("p99", 0.99), ("max", 1.0))
     }
     return {

@@ -5,8 +5,10 @@ from typing import Protocol
 import numpy as np
 
 FLAGS = ("good", "stale", "not_finite", "bad_answer")
-"""Names of the flags 0, 1, 2, 3: a reading that was used; one too old; one, or a command, that was not finite."""
+"""Names of the flags 0, 1, 2, 3: a reading that was used; one too old; one not finite; an answer that was not finite."""
 GOOD, STALE, NOT_FINITE, BAD_ANSWER = range(len(FLAGS))
+ASKED = (GOOD, BAD_ANSWER)
+"""Flags of periods in which the controller was asked."""
 
 
 class Controller(Protocol):

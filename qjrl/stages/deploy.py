@@ -29,7 +29,7 @@ from qjrl.deployment.deploy import DeployConfig, deploy
 from qjrl.deployment.functions import in_precision
 from qjrl.deployment.real_time import Schedule
 from qjrl.deployment.recording import Record, as_record, flagged, load_record, replay, timing
-from qjrl.deployment.safety import SafeController
+from qjrl.deployment.safety import ASKED, SafeController
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.robot import robot_from_mapping, robot_hash
@@ -85,7 +85,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     metrics["is_quick_enough"] = metrics["timing"]["latency_p99_ms"] <= 1e3 * settings.accepted_latency
     artifacts.write_json(out / "metrics.json", metrics)
     figures = {
-        "latency": latency_histogram(record, settings.accepted_latency),
+        "latency": latency_histogram(record["latency"][np.isin(record["flag"], ASKED)], settings.accepted_latency),
         "error": errors_over_time(record, position),
     }
     for name, figure in figures.items():

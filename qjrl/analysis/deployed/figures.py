@@ -10,9 +10,9 @@ from qjrl.analysis.palette import LIGHT, series_colour
 
 
 @style()
-def latency_histogram(record: Mapping[str, np.ndarray], accepted: float) -> Figure:
-    """Latency of every period, with its 99th percentile and the accepted one [s]."""
-    latency = 1e3 * record["latency"]
+def latency_histogram(latency_s: np.ndarray, accepted: float) -> Figure:
+    """Latency (n,) of the controller, with its 99th percentile and the accepted one [s]."""
+    latency = 1e3 * latency_s
     figure, axes = new_plot("latency of the controller [ms]", "control periods", 7.2, 3.5)
     axes.hist(latency, np.geomspace(0.9 * latency.min(), 1.1 * latency.max(), 60).tolist(), color=LIGHT["blue"])
     axes.set_xscale("log")
@@ -34,7 +34,7 @@ def errors_over_time(record: Mapping[str, np.ndarray], position_error: np.ndarra
         name = f"target {episode + 1}" if not record["has_faults"][episode] else "with faults"
         axes.plot(time, error, color=series_colour(episode), label=name)
         held = record["flag"][rows] != 0
-        axes.plot(time[held], error[held], ".", color=series_colour(episode), markersize=4.0)
+        axes.plot(time[held], error[held], ".", color=LIGHT["ink"], markersize=5.0, zorder=3.0)
     axes.set_yscale("log")
     axes.legend(ncols=2)
     return figure
