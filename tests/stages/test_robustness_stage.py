@@ -57,11 +57,10 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
         )
         np.testing.assert_array_equal(base, idle_policy)
         undisturbed = columns[f"{UNDISTURBED}/uniform/learned_ik/position_error"]
-        # A delay that has passed and encoders that nobody asks leave the plain base where it was.
-        if disturbance in (UNDISTURBED, "one dead encoder"):
+        if disturbance in (UNDISTURBED, "one dead encoder"):  # the plain base asks no encoder
             np.testing.assert_array_equal(plain, undisturbed)
-        else:
-            assert np.all(plain != undisturbed), disturbance
+        else:  # the trace of a delay that has passed is small
+            assert np.any(plain != undisturbed), disturbance
     for name in ("uniform.png", "near_home.png"):
         assert (out / name).read_bytes().startswith(b"\x89PNG")
     assert "one dead encoder" in (out / "table.md").read_text()

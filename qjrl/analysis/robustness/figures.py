@@ -20,9 +20,11 @@ def errors_by_disturbance(found: Disturbed, target_set: str) -> Figure:
     for index, controller in enumerate(controllers):
         heights = -np.arange(len(groups)) - apart * (index - 0.5 * (len(controllers) - 1))
         middle, high = np.array([_quantiles(group[controller]) for _, group in groups]).T
-        colour = controller_look(controller, index)["color"]
-        axes.hlines(heights, middle, high, color=colour, linewidth=1.5)
-        axes.plot(middle, heights, "o", color=colour, markersize=5, label=controller_label(controller))
+        look = controller_look(controller, index)
+        axes.hlines(heights, middle, high, linewidth=1.5, **look)
+        fill = look["color"] if look["linestyle"] == "-" else LIGHT["paper"]  # open marks where the line is broken
+        label = controller_label(controller)
+        axes.plot(middle, heights, "o", color=look["color"], markerfacecolor=fill, markersize=5, label=label)
     for edge in range(1, len(groups)):
         axes.axhline(0.5 - edge, color=LIGHT["rule"], linewidth=0.8)
     axes.set_yticks(-np.arange(len(groups)), [name for name, _ in groups])
