@@ -2,8 +2,10 @@
 
 Rounds of acting and fitting (Ross et al. 2011, "A reduction of imitation learning ..."): random actions first, held for
 a while each, so that the actor learns what its own actions do not change; then the actor fitted so far, with a little of
-the same noise. All rounds' rows are kept and fitted together. The advice is privileged (Chen et al. 2019, "Learning
-by cheating"), the actor sees its own observation alone, so that it learns the best guess that its sensors allow.
+the same noise. Every round goes on from the actor of the last one with new rows alone: an episode is one draw of target,
+arm and noise, an actor that sees few of them many times learns them by heart, and fresh ones cost little. The advice is
+privileged (Chen et al. 2019, "Learning by cheating"), the actor sees its own observation alone, so that it learns the
+best guess that its sensors allow.
 """
 
 import dataclasses
@@ -15,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from qjrl import progress
 from qjrl.config import Range
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of
-from qjrl.learning.ppo.normaliser import Normaliser, initial_normaliser, update_normaliser
+from qjrl.learning.ppo.normaliser import Normaliser, update_normaliser
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.rollout import finite_rows
 
@@ -30,89 +31,98 @@ _HELD = 25
 class ImitationConfig:
     """Rounds of acting and fitting."""
 
-    rounds: Annotated[int, Range(0, 100)] = 0
-    """0: PPO starts from the untrained actor."""
+    rounds: Annotated[int, Range(0, 1000)] = 0
+    """Every one is an iteration of the training; 0: PPO starts from the untrained actor."""
     steps: Annotated[int, Range(1, 1_000_000)] = 1000
     """Of every copy in a round."""
     every: Annotated[int, Range(1, 1000)] = 5
     """Every so-manieth step is kept: neighbours say the same."""
     exploration: Annotated[float, Range(0, 1)] = 0.1
     """Standard deviation of the random actions of the first round; a tenth of it in the later ones."""
-    epochs: Annotated[int, Range(1, 1000)] = 20
-    """Passes over all rows kept, after every round."""
+    epochs: Annotated[int, Range(1, 1000)] = 4
+    """Passes over the rows of a round."""
     batch_size: Annotated[int, Range(1)] = 512
     """Rows of a gradient step."""
     learning_rate: Annotated[float, Range(above=0, high=1)] = 2e-3
-    """Of Adam, at the start of every fit; it falls to 0 along a cosine."""
+    """Of Adam, in the first round; it falls to 0 along a cosine until the end of the last one."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Imitated:
-    """What PPO starts from."""
+    """What the next round goes on from, or PPO."""
 
-    layers: Any
-    """Of the actor, as in `Policy.layers`."""
+    policy: Policy
     normaliser: Normaliser
     observation: Observation
-    """To go on from."""
-    env_steps: int
     loss: float
     """Mean distance from the advice in the last epoch; actions are in [-1, 1]."""
 
 
 def imitate(
-    environment: VectorEnv, config: ImitationConfig, untrained: Policy, observation: Observation, seed: int
+    environment: VectorEnv,
+    config: ImitationConfig,
+    number: int,
+    policy: Policy,
+    normaliser: Normaliser,
+    observation: Observation,
+    seed: int,
 ) -> Imitated:
-    """Acts and fits; the environment is stepped on from where it is.
+    """Round `number`, from 0: acts and fits; the environment is stepped on from where it is.
 
     Args:
-        untrained: an actor whose deterministic action is zero.
+        policy: the actor of the round before; for the first an actor whose deterministic action is zero.
+        normaliser: statistics of all rows so far.
         observation: what the first action answers to.
     """
-    normaliser, policy, kept, loss = initial_normaliser(environment.observation_sizes), untrained, [], float("nan")
-    take_in, act = jax.jit(update_normaliser), jax.jit(deterministic_action)
-    total = config.rounds * config.steps * environment.num_envs
+    random = np.random.default_rng([seed, number])
+    deviation = config.exploration * (1.0 if number == 0 else 0.1)
+    normaliser, rows, observation = _act(environment, config, policy, normaliser, observation, deviation, random)
+    mean, std = (np.asarray(statistics[ACTOR_KEY]) for statistics in _statistics(normaliser))
+    policy = dataclasses.replace(policy, mean=mean, std=std)
+    policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
+    return Imitated(policy, normaliser, observation, loss)
+
+
+def _act(environment, config: ImitationConfig, policy, normaliser, observation, deviation: float, random):
+    """The statistics with the rows kept, those rows (observations, advice), and the last observation."""
+    take_in, act, kept = jax.jit(update_normaliser), jax.jit(deterministic_action), []
     shape = (environment.num_envs, environment.action_size)
-    with progress.track(total, "imitation") as advance:
-        for number in range(config.rounds):
-            noise, generator = np.zeros(shape, np.float32), np.random.default_rng([seed, number])
-            for step in range(config.steps):
-                if step % _HELD == 0:
-                    deviation = config.exploration * (1.0 if number == 0 else 0.1)
-                    noise = generator.normal(0.0, deviation, shape).astype(np.float32)
-                observation, is_finite = finite_rows(observation)
-                if step % config.every == 0:
-                    normaliser = take_in(normaliser, _with_time(observation), is_finite[None])
-                    advice = np.asarray(advice_of(observation, environment.action_size))
-                    kept.append((observation[ACTOR_KEY][is_finite], advice[is_finite]))
-                actions = np.clip(np.asarray(act(policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
-                observation = environment.step(actions).observation
-                advance(environment.num_envs)
-            rows = tuple(np.concatenate(columns) for columns in zip(*kept, strict=True))
-            statistics = dataclasses.replace(policy, mean=_of_actor(normaliser.mean), std=_of_actor(normaliser.std))
-            key = jax.random.fold_in(jax.random.key(seed), number)
-            policy, loss = _fit(dataclasses.replace(statistics, layers=untrained.layers), config, rows, key)
-    return Imitated(policy.layers, normaliser, observation, total, loss)
+    noise = np.zeros(shape, np.float32)
+    for step in range(config.steps):
+        if step % _HELD == 0:
+            noise = random.normal(0.0, deviation, shape).astype(np.float32)
+        observation, is_finite = finite_rows(observation)
+        if step % config.every == 0:
+            normaliser = take_in(normaliser, _with_time(observation), is_finite[None])
+            advice = np.asarray(advice_of(observation, environment.action_size))
+            kept.append((observation[ACTOR_KEY][is_finite], advice[is_finite]))
+        actions = np.clip(np.asarray(act(policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
+        observation = environment.step(actions).observation
+    return normaliser, tuple(np.concatenate(columns) for columns in zip(*kept, strict=True)), observation
 
 
-def _of_actor(statistics: Any) -> np.ndarray:
-    return np.asarray(statistics[ACTOR_KEY])
+def _statistics(normaliser: Any) -> tuple[Any, Any]:
+    return normaliser.mean, normaliser.std
 
 
 def _with_time(observation: Observation) -> dict[str, Any]:
     return {name: np.asarray(rows)[None] for name, rows in observation.items()}
 
 
-def _fit(policy: Policy, config: ImitationConfig, rows: tuple[np.ndarray, ...], key: jax.Array) -> tuple[Policy, float]:
-    """The policy's layers fitted to (observations, advice), and the mean distance in the last epoch."""
+def _fit(
+    policy: Policy, config: ImitationConfig, number: int, rows: tuple[np.ndarray, ...], key: jax.Array
+) -> tuple[Policy, float]:
+    """The policy's layers fitted on to (observations, advice), and the mean distance in the last epoch."""
     batch_size = min(config.batch_size, len(rows[0]))
     per_epoch = len(rows[0]) // batch_size
-    optimiser = optax.adam(optax.cosine_decay_schedule(config.learning_rate, config.epochs * per_epoch))
-    layers = jax.tree.map(jnp.asarray, policy.layers)
+    per_round = config.epochs * per_epoch
+    whole = optax.cosine_decay_schedule(config.learning_rate, config.rounds * per_round)
+    optimiser = optax.adam(lambda step: whole(step + number * per_round))
+    layers = jax.tree.map(jnp.array, policy.layers)
     carry, on_device, loss = (layers, optimiser.init(layers)), jax.tree.map(jnp.asarray, rows), jnp.nan
     epoch = jax.jit(functools.partial(_epoch, optimiser, per_epoch, batch_size), donate_argnums=0)
-    for number in range(config.epochs):
-        carry, loss = epoch(carry, policy, on_device, jax.random.fold_in(key, number))
+    for passed in range(config.epochs):
+        carry, loss = epoch(carry, policy, on_device, jax.random.fold_in(key, passed))
     return dataclasses.replace(policy, layers=jax.tree.map(np.asarray, carry[0])), float(loss)
 
 

@@ -92,16 +92,17 @@ def run_iteration(
 
 
 def run_imitation(session: Session, config: PPOConfig, seed: int) -> tuple[Session, Record]:
-    """The first iteration where there is an imitation: the session after it, and its record for the log."""
-    start, state = time.perf_counter(), session.state
-    found = imitate(session.environment, config.imitation, policy_of(state, config), session.observation, seed)
-    parameters = state.learner.parameters | {"policy": {"params": jax.tree.map(jnp.asarray, found.layers)}}
+    """One round of imitation as an iteration, before those of PPO: the session after it, and its record for the log."""
+    start, state, environment = time.perf_counter(), session.state, session.environment
+    actor, number = policy_of(state, config), int(state.iteration)
+    found = imitate(environment, config.imitation, number, actor, state.normaliser, session.observation, seed)
+    parameters = state.learner.parameters | {"policy": {"params": jax.tree.map(jnp.asarray, found.policy.layers)}}
     state = dataclasses.replace(
         state,
         learner=dataclasses.replace(state.learner, parameters=parameters),
         normaliser=found.normaliser,
         iteration=state.iteration + jnp.int32(1),
-        env_steps=state.env_steps + jnp.uint32(found.env_steps),
+        env_steps=state.env_steps + jnp.uint32(config.imitation.steps * environment.num_envs),
     )
     record = {
         "iteration": int(state.iteration),
@@ -110,7 +111,7 @@ def run_imitation(session: Session, config: PPOConfig, seed: int) -> tuple[Sessi
         "imitation_seconds": round(time.perf_counter() - start, 2),
     }
     state = jax.device_put(state, jax.local_devices()[0])
-    episodes = EpisodeLog(session.environment.num_envs)
+    episodes = EpisodeLog(environment.num_envs)
     return dataclasses.replace(session, state=state, observation=found.observation, episodes=episodes), record
 
 
@@ -146,7 +147,8 @@ def _learn(
     if config.learning_rate_schedule == "linear":
         rate = config.learning_rate * (1 - int(state.iteration) / num_iterations)
         learner = dataclasses.replace(learner, learning_rate=jnp.float32(rate))
-    moves_actor = jnp.bool_(config.imitation.rounds == 0 or int(state.iteration) > config.critic_warmup)
+    rounds = config.imitation.rounds
+    moves_actor = jnp.bool_(rounds == 0 or int(state.iteration) >= rounds + config.critic_warmup)
     learner, losses = compiled.update(learner, normaliser, rollout, final_values, key, moves_actor)
     state = dataclasses.replace(
         state,

@@ -48,7 +48,7 @@ def train(
         TrainingDiverged: too many invalid steps, or a loss that is not finite.
         ArtifactError: the directory holds another training.
     """
-    per_iteration, num_iterations = _sizes(config, environment)
+    sizes = _sizes(config, environment)
     with progress.compiling("the policy and its update"):
         compiled = compile_functions(config, environment)
     callbacks = list(callbacks)
@@ -70,17 +70,18 @@ def train(
         done = int(session.state.iteration)
         if checkpoints.latest_step() is None:
             keep(session, {"iteration": 0, "env_steps": 0})
-        with progress.track(num_iterations * per_iteration, "policy", already=done * per_iteration) as advance:
-            for iteration in range(done + 1, num_iterations + 1):
-                is_imitation = iteration == 1 and config.imitation.rounds > 0
+        already = int(session.state.env_steps)
+        with progress.track(sum(sizes), "policy", already=already) as advance:
+            for iteration in range(done + 1, len(sizes) + 1):
+                is_imitation = iteration <= config.imitation.rounds
                 if is_imitation:
                     session, record = run_imitation(session, config, seed)
                 else:
                     with _evidence_in(directory):
-                        session, record = run_iteration(session, compiled, config, num_iterations)
-                due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == num_iterations
+                        session, record = run_iteration(session, compiled, config, len(sizes))
+                due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == len(sizes)
                 keep(session, record) if due else write(record)
-                advance(per_iteration, note=_note(record))
+                advance(sizes[iteration - 1], note=_note(record))
     return load_policy(directory / POLICY)
 
 
@@ -97,21 +98,19 @@ def _evidence_in(directory: Path) -> Iterator[None]:
         raise TrainingDiverged(f"{error}; states, commands and parameters: {path}", error.evidence) from error
 
 
-def _sizes(config: PPOConfig, environment: VectorEnv) -> tuple[int, int]:
-    """Environment steps of one iteration of PPO, and number of iterations, an imitation being the first."""
-    imitates = config.imitation.rounds > 0
-    if imitates and not environment.gives_advice:
-        raise ValueError(
-            f"imitation.rounds: got {config.imitation.rounds}, allowed: 0, this environment gives no advice"
-        )
-    devices = jax.local_device_count()
+def _sizes(config: PPOConfig, environment: VectorEnv) -> list[int]:
+    """Environment steps of every iteration: the rounds of imitation, then those of PPO."""
+    rounds, devices = config.imitation.rounds, jax.local_device_count()
+    if rounds > 0 and not environment.gives_advice:
+        raise ValueError(f"imitation.rounds: got {rounds}, allowed: 0, this environment gives no advice")
     if environment.num_envs % devices:
         raise ValueError(f"num_envs: got {environment.num_envs}, allowed: a multiple of the {devices} devices")
     per_iteration = config.unroll_length * environment.num_envs
     if per_iteration < config.num_minibatches:
         steps = f"unroll_length {config.unroll_length} x {environment.num_envs} environments"
         raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
-    return per_iteration, imitates - (-config.num_steps // per_iteration)
+    imitation = [config.imitation.steps * environment.num_envs] * rounds
+    return imitation + [per_iteration] * -(-config.num_steps // per_iteration)
 
 
 def _begin(

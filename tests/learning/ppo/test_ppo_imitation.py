@@ -1,6 +1,3 @@
-import dataclasses
-from typing import Any
-
 import jax
 import numpy as np
 import pytest
@@ -10,6 +7,7 @@ from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import Transition
 from qjrl.learning.ppo.imitation import ImitationConfig, imitate
 from qjrl.learning.ppo.iteration import compile_functions
+from qjrl.learning.ppo.normaliser import initial_normaliser
 from qjrl.learning.ppo.policy import deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.learning.ppo.training_state import initial_state, policy_of
@@ -68,18 +66,18 @@ def untrained(environment):
     return policy_of(initial_state(compiled.initialise, CONFIG, environment, 0), CONFIG)
 
 
-def test_the_actor_comes_to_do_what_is_advised_and_the_steps_are_counted():
+def test_the_actor_comes_to_do_what_is_advised():
     environment = DriftingEnvironment()
+    observation, normaliser, loss = environment.reset(), initial_normaliser(environment.observation_sizes), np.nan
     policy = untrained(environment)
-    found = imitate(environment, IMITATION, policy, environment.reset(), seed=0)
-    assert found.env_steps == 2 * 60 * NUM_ENVS == int(environment.key[0]) * NUM_ENVS
-    statistics: tuple[Any, Any] = (found.normaliser.mean, found.normaliser.std)
-    mean, std = (np.asarray(part["state"]) for part in statistics)
-    taught = dataclasses.replace(policy, layers=found.layers, mean=mean, std=std)
+    for number in range(IMITATION.rounds):
+        found = imitate(environment, IMITATION, number, policy, normaliser, observation, seed=0)
+        policy, normaliser, observation, loss = found.policy, found.normaliser, found.observation, found.loss
+    assert int(environment.key[0]) == IMITATION.rounds * IMITATION.steps
     values = np.linspace(-0.9, 0.9, 19, dtype=np.float32)
     seen = np.stack([values, np.ones_like(values)], axis=1)
-    np.testing.assert_allclose(deterministic_action(taught, seen)[:, 0], -0.5 * values, atol=0.05)
-    assert found.loss < 0.05
+    np.testing.assert_allclose(deterministic_action(policy, seen)[:, 0], -0.5 * values, atol=0.05)
+    assert loss < 0.05
 
 
 def interrupt_at(iteration):
@@ -96,7 +94,7 @@ def whole(tmp_path_factory):
     return train(DriftingEnvironment(), CONFIG, 0, directory), directory
 
 
-@pytest.mark.parametrize("iteration", [0, 1, 4])  # before the imitation, right after it, and later
+@pytest.mark.parametrize("iteration", [0, 1, 2, 5])  # before, within and right after the imitation, and later
 def test_a_training_interrupted_anywhere_ends_as_an_uninterrupted_one(whole, tmp_path, iteration):
     with pytest.raises(KeyboardInterrupt):
         train(DriftingEnvironment(), CONFIG, 0, tmp_path, callbacks=[interrupt_at(iteration)])
@@ -104,10 +102,11 @@ def test_a_training_interrupted_anywhere_ends_as_an_uninterrupted_one(whole, tmp
     jax.tree.map(np.testing.assert_array_equal, policy, whole[0])
 
 
-def test_an_imitation_is_the_first_iteration_and_is_logged(whole):
+def test_the_rounds_of_imitation_are_the_first_iterations_and_are_logged(whole):
     records = load(whole[1] / "progress.jsonl")
-    assert [record["iteration"] for record in records] == [0, 1, 2, 3, 4, 5]
-    assert records[1]["env_steps"] == 2 * 60 * NUM_ENVS and records[1]["imitation_loss"] < 0.05
+    assert [record["iteration"] for record in records] == [0, 1, 2, 3, 4, 5, 6]
+    assert [record["env_steps"] for record in records[:3]] == [0, 60 * NUM_ENVS, 2 * 60 * NUM_ENVS]
+    assert records[2]["imitation_loss"] < min(0.05, records[1]["imitation_loss"])
     assert records[-1]["env_steps"] == (2 * 60 + 4 * 5) * NUM_ENVS
 
 
