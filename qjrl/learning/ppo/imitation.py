@@ -10,6 +10,7 @@ best guess that its sensors allow.
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Annotated, Any
 
 import jax
@@ -66,6 +67,7 @@ def imitate(
     normaliser: Normaliser,
     observation: Observation,
     seed: int,
+    advance: Callable[[int], None],
 ) -> Imitated:
     """Round `number`, from 0: acts and fits; the environment is stepped on from where it is.
 
@@ -73,17 +75,20 @@ def imitate(
         policy: the actor of the round before; for the first an actor whose deterministic action is zero.
         normaliser: statistics of all rows so far.
         observation: what the first action answers to.
+        advance: called with the number of environment steps made.
     """
     random = np.random.default_rng([seed, number])
     deviation = config.exploration * (1.0 if number == 0 else 0.1)
-    normaliser, rows, observation = _act(environment, config, policy, normaliser, observation, deviation, random)
+    normaliser, rows, observation = _act(
+        environment, config, policy, normaliser, observation, deviation, random, advance
+    )
     mean, std = (np.asarray(statistics[ACTOR_KEY]) for statistics in _statistics(normaliser))
     policy = dataclasses.replace(policy, mean=mean, std=std)
     policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
     return Imitated(policy, normaliser, observation, loss)
 
 
-def _act(environment, config: ImitationConfig, policy, normaliser, observation, deviation: float, random):
+def _act(environment, config: ImitationConfig, policy, normaliser, observation, deviation: float, random, advance):
     """The statistics with the rows kept, those rows (observations, advice), and the last observation."""
     take_in, act, kept = jax.jit(update_normaliser), jax.jit(deterministic_action), []
     shape = (environment.num_envs, environment.action_size)
@@ -98,6 +103,7 @@ def _act(environment, config: ImitationConfig, policy, normaliser, observation, 
             kept.append((observation[ACTOR_KEY][is_finite], advice[is_finite]))
         actions = np.clip(np.asarray(act(policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
         observation = environment.step(actions).observation
+        advance(environment.num_envs)
     return normaliser, tuple(np.concatenate(columns) for columns in zip(*kept, strict=True)), observation
 
 

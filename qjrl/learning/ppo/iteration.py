@@ -91,11 +91,19 @@ def run_iteration(
     return session, counts | record | times
 
 
-def run_imitation(session: Session, config: PPOConfig, seed: int) -> tuple[Session, Record]:
-    """One round of imitation as an iteration, before those of PPO: the session after it, and its record for the log."""
+def run_imitation(
+    session: Session, config: PPOConfig, seed: int, advance: Callable[[int], None]
+) -> tuple[Session, Record]:
+    """One round of imitation as an iteration, before those of PPO.
+
+    Args:
+        advance: called with the number of environment steps made: a round takes a minute.
+    Returns:
+        The session after it, and its record for the log.
+    """
     start, state, environment = time.perf_counter(), session.state, session.environment
     actor, number = policy_of(state, config), int(state.iteration)
-    found = imitate(environment, config.imitation, number, actor, state.normaliser, session.observation, seed)
+    found = imitate(environment, config.imitation, number, actor, state.normaliser, session.observation, seed, advance)
     parameters = state.learner.parameters | {"policy": {"params": jax.tree.map(jnp.asarray, found.policy.layers)}}
     state = dataclasses.replace(
         state,

@@ -75,13 +75,13 @@ def train(
             for iteration in range(done + 1, len(sizes) + 1):
                 is_imitation = iteration <= config.imitation.rounds
                 if is_imitation:
-                    session, record = run_imitation(session, config, seed)
+                    session, record = run_imitation(session, config, seed, advance)
                 else:
                     with _evidence_in(directory):
                         session, record = run_iteration(session, compiled, config, len(sizes))
                 due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == len(sizes)
                 keep(session, record) if due else write(record)
-                advance(sizes[iteration - 1], note=_note(record))
+                advance(0 if is_imitation else sizes[iteration - 1], note=_note(record))
     return load_policy(directory / POLICY)
 
 

@@ -69,11 +69,11 @@ def untrained(environment):
 def test_the_actor_comes_to_do_what_is_advised():
     environment = DriftingEnvironment()
     observation, normaliser, loss = environment.reset(), initial_normaliser(environment.observation_sizes), np.nan
-    policy = untrained(environment)
+    policy, made = untrained(environment), []
     for number in range(IMITATION.rounds):
-        found = imitate(environment, IMITATION, number, policy, normaliser, observation, seed=0)
+        found = imitate(environment, IMITATION, number, policy, normaliser, observation, 0, made.append)
         policy, normaliser, observation, loss = found.policy, found.normaliser, found.observation, found.loss
-    assert int(environment.key[0]) == IMITATION.rounds * IMITATION.steps
+    assert sum(made) == NUM_ENVS * int(environment.key[0]) == NUM_ENVS * IMITATION.rounds * IMITATION.steps
     values = np.linspace(-0.9, 0.9, 19, dtype=np.float32)
     seen = np.stack([values, np.ones_like(values)], axis=1)
     np.testing.assert_allclose(deterministic_action(policy, seen)[:, 0], -0.5 * values, atol=0.05)
