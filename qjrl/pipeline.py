@@ -46,6 +46,13 @@ STAGES: dict[str, Stage] = {
         writes="robustness",
         default=False,
     ),
+    "residual": Stage(
+        "qjrl.stages.residual",
+        "find what the policy does over time, what makes its base err, and what in its training matters",
+        reads=("ik", "policy"),
+        writes="residual",
+        default=False,
+    ),
     "open_loop": Stage(
         "qjrl.stages.open_loop",
         "settle FABRIK's, least squares' and the learned IK's commands",

@@ -66,5 +66,6 @@ def _rows(judgement: Judgement, rows: np.ndarray) -> Judgement:
         judgement.position_error[rows],
         judgement.orientation_error[rows],
         judgement.strand_tension[rows],
+        judgement.position_trace[:, rows],
         judgement.is_valid[rows],
     )

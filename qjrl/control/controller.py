@@ -24,6 +24,8 @@ class ControllerConfig:
 
     control_period: float
     """[s]."""
+    remembers: bool
+    """Whether the policy sees means of the readings, or the newest one in their place."""
     dither: motors.DitherConfig
     integral: tip_correction.IntegralConfig
     residual: motors.ResidualConfig
@@ -112,9 +114,9 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
     """
     state = dataclasses.replace(state, step=state.step + 1, reading=reading)
     deviation = state.reading - held_rotation_vectors(robot, state.command)
-    memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period).astype(
-        state.memory.dtype
-    )
+    memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
+    if not config.remembers:
+        memory = jnp.broadcast_to(deviation, memory.shape)
     difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
     moved = tip_correction.integrate(
         config.integral, state.integral, state.correction, difference, config.control_period
@@ -122,7 +124,7 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
     begins = SETTLING if config.dither.amplitude > 0.0 else 0.0
     acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
     integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
-    return dataclasses.replace(state, memory=memory, integral=integral)
+    return dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)
 
 
 def ramped_in(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:

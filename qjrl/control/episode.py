@@ -40,6 +40,8 @@ class EnvironmentConfig:
     """Targets whose base ramp ends later are left out and counted [s]."""
     scored_time: Annotated[float, Range(above=0.0)] = 0.5
     """Errors are judged over this long at the end of an episode [s]."""
+    remembers: bool = True
+    """Whether the actor sees means of the encoders' readings; without, the newest reading stands for all of them."""
     dither: motors.DitherConfig = motors.DitherConfig()
     integral: tip_correction.IntegralConfig = tip_correction.IntegralConfig()
     residual: motors.ResidualConfig = motors.ResidualConfig()
@@ -63,7 +65,7 @@ class EnvironmentConfig:
     @property
     def controller(self) -> ControllerConfig:
         """What the robot needs of it."""
-        return ControllerConfig(self.control_period, self.dither, self.integral, self.residual)
+        return ControllerConfig(self.control_period, self.remembers, self.dither, self.integral, self.residual)
 
 
 @struct.dataclass

@@ -26,6 +26,8 @@ class Judgement:
     """(n,) [rad]."""
     strand_tension: np.ndarray
     """(n, strands) [N], one step before the end."""
+    position_trace: np.ndarray
+    """(steps, n) position error after every control step [m]."""
     is_valid: np.ndarray
     """(n,)."""
 
@@ -57,7 +59,7 @@ class Judge:
         environment, steps = self._environment, self._config.episode_steps
         act = act or (lambda observation: do_nothing(observation, environment.action_size))
         observation = environment.reset()
-        errors, is_valid = [], np.ones(environment.num_envs, bool)
+        position, orientation, is_valid = [], [], np.ones(environment.num_envs, bool)
         tension = environment.strand_tension.copy()
         for step in range(steps):
             if step == steps - 1:  # the last step resets the simulations
@@ -65,9 +67,11 @@ class Judge:
             transition = environment.step(act(observation[ACTOR_KEY]))
             observation = transition.observation
             is_valid &= transition.valid & ~np.asarray(transition.terminated)
-            if step >= steps - self._config.scored_steps:
-                errors.append([transition.metrics["position_error"], transition.metrics["orientation_error"]])
+            position.append(transition.metrics["position_error"])
+            orientation.append(transition.metrics["orientation_error"])
             if advance:
                 advance(environment.num_envs)
-        position, orientation = np.mean(errors, axis=0)
-        return Judgement(position, orientation, tension, is_valid & np.isfinite(position) & np.isfinite(orientation))
+        scored = slice(-self._config.scored_steps, None)
+        mean_position, mean_orientation = (np.mean(errors[scored], axis=0) for errors in (position, orientation))
+        is_valid &= np.isfinite(mean_position) & np.isfinite(mean_orientation)
+        return Judgement(mean_position, mean_orientation, tension, np.stack(position), is_valid)

@@ -28,7 +28,7 @@ class PPOConfig:
     reward_scaling: Annotated[float, Range(above=0)] = 1.0
     """Factor on rewards inside the learner; the log shows unscaled rewards."""
     imitation: ImitationConfig = ImitationConfig()
-    """What comes before PPO; the first iteration."""
+    """What comes before PPO: the first iterations."""
     critic_warmup: Annotated[int, Range(0)] = 0
     """Iterations after an imitation in which the critic alone learns, so that it knows the actor before it judges it."""
     clipping: Annotated[float, Range(above=0, high=1)] = 0.2
@@ -49,6 +49,8 @@ class PPOConfig:
     """Where `adaptive_kl` stops slowing down (rsl_rl)."""
     max_learning_rate: Annotated[float, Range(above=0, high=1)] = 3e-3
     """Where `adaptive_kl` stops speeding up. Ours: below rsl_rl's 1e-2, for small residuals."""
+    starts_at_zero: bool = True
+    """The untrained policy does nothing. Without, the actor's last layer is random, as is customary."""
     initial_std: Annotated[float, Range(0.002, 3)] = 0.3
     """Exploration at the start, before the tanh. Ours: small, since a residual starts at zero."""
     actor_layers: tuple[Width, ...] = (128, 128)

@@ -55,7 +55,7 @@ def _compile_functions(config: PPOConfig, sizes: tuple[tuple[str, int], ...], ac
         mesh = sharding.device_mesh()
         place, take_in, update = lambda it: it, sharding.normaliser_on(mesh, take_in), sharding.update_on(mesh, update)
     return Compiled(
-        initialise=jax.jit(lambda key: initial_parameters(networks, config.initial_std, key)),
+        initialise=jax.jit(lambda key: initial_parameters(networks, config.initial_std, key, config.starts_at_zero)),
         act=make_act(networks),
         place=place,
         update_normaliser=take_in,

@@ -36,14 +36,17 @@ def make_networks(config: PPOConfig, observation_sizes: Mapping[str, int], actio
     )
 
 
-def initial_parameters(networks: PPONetworks, initial_std: float, key: jax.Array) -> dict[str, Any]:
+def initial_parameters(
+    networks: PPONetworks, initial_std: float, key: jax.Array, starts_at_zero: bool = True
+) -> dict[str, Any]:
     """{"policy", "value"}: float32 parameters; the actor's last layer is zero but for its standard deviation.
 
-    Done by hand: brax 0.14.2 takes `mean_kernel_init_fn`, but ignores it for the tanh-normal distribution.
+    Done by hand: brax 0.14.2 takes `mean_kernel_init_fn`, but ignores it for the tanh-normal distribution. Without
+    `starts_at_zero` the last layer is as brax makes it.
     """
     key_policy, key_value = jax.random.split(key)
     layers = networks.policy_network.init(key_policy)["params"]
-    policy = {"params": start_at_zero(layers, initial_std)}
+    policy = {"params": start_at_zero(layers, initial_std) if starts_at_zero else layers}
     return {"policy": policy, "value": networks.value_network.init(key_value)}
 
 

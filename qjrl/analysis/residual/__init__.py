@@ -1,0 +1,1 @@
+"""What a residual policy does, and why."""

@@ -1,0 +1,159 @@
+"""Errors over time above the encoders' floor, the base under each randomised parameter alone, and ablations."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from qjrl import artifacts
+from qjrl.config import ConfigError, Range, as_mapping
+from qjrl.control.ablations import ABLATIONS, ablations
+from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
+from qjrl.control.episode import EnvironmentConfig
+from qjrl.control.judging import Act, Judge, Judgement, arrives_in_time
+from qjrl.control.motors import ramp_time
+from qjrl.control.noise_floor import encoder_floor
+from qjrl.control.parameter_effects import one_at_a_time
+from qjrl.control.policy_training import PolicyConfig, acting, train_policy
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.policy import Policy
+from qjrl.robot import bends_from_cables
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.settle_problem import SettleConfig
+
+Arrays = Mapping[str, np.ndarray]
+
+# Offset of the run's seed: arms that no training and no other judgement has seen.
+_STUDY_SEED = 6_000_003
+RIVAL: Base = "integral"
+
+
+@dataclasses.dataclass(frozen=True)
+class ResidualStudyConfig:
+    """Group `residual`."""
+
+    num_targets: Annotated[int, Range(1, 100_000)] = 200
+    """Held-out targets of each set."""
+    share: Annotated[float, Range(above=0.0, high=1.0)] = 0.25
+    """Share of the training's steps that every ablation has."""
+    ablations: tuple[str, ...] = ABLATIONS
+    """Which ablations are trained; none is allowed."""
+
+    def __post_init__(self):
+        for name in self.ablations:
+            if name not in ABLATIONS:
+                raise ValueError(f"ablations: got '{name}', allowed: {', '.join(ABLATIONS)}")
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """The arm, its training and the held-out targets that all parts of the study use."""
+
+    robot: Robot
+    simulation: SettleConfig
+    config: PolicyConfig
+    targets: Arrays
+    """Columns of `held_out.npz`, of the chosen rows."""
+    seed: int
+
+    def judge(self, environment: EnvironmentConfig, base: Base, act: Act | None = None) -> Judgement:
+        """One controller on the targets, in the engine of the training."""
+        count = len(self.targets["target"])
+        stepper = make_stepper(self.robot, count, self.simulation, self.config.engine == "minimal")
+        bank = bank_of(self.targets, base, np.arange(count))
+        return Judge(self.robot, environment_of(environment, base), bank, stepper, self.seed + _STUDY_SEED).judge(act)
+
+
+def make_subject(
+    robot: Robot, simulation: SettleConfig, config: PolicyConfig, held_out: Arrays, num_targets: int, seed: int
+) -> Subject:
+    """The first targets of each set at which the base and the rival arrive in time.
+
+    Raises:
+        ConfigError: there are fewer.
+    """
+    columns = {command_column(base) for base in (config.base, RIVAL)}
+    in_time = np.all([arrives_in_time(robot, config.environment, held_out[name]) for name in columns], axis=0)
+    rows = [np.flatnonzero((held_out["target_set"] == index) & in_time) for index in range(len(TARGET_SETS))]
+    for name, found in zip(TARGET_SETS, rows, strict=True):
+        if len(found) < num_targets:
+            raise ConfigError(f"residual.num_targets: got {num_targets}, allowed: at most {len(found)} ({name})")
+    chosen = np.concatenate([found[:num_targets] for found in rows])
+    targets = {name: held_out[name][chosen] for name in ("target", "target_set", *columns)}
+    return Subject(robot, simulation, config, targets, seed)
+
+
+def over_time(subject: Subject, policy: Policy) -> dict[str, np.ndarray]:
+    """Controller -> position error (steps, n) [m]: learned IK, rival, the policy's base, the policy; and the "floor"."""
+    config = subject.config
+    bases: list[Base] = list(dict.fromkeys(("learned", RIVAL, config.base)))
+    traces = {controller_name(base): subject.judge(config.environment, base).position_trace for base in bases}
+    name = controller_name(config.base, has_policy=True)
+    traces[name] = subject.judge(config.environment, config.base, acting(policy)).position_trace
+    return traces | {"floor": _floor(subject)}
+
+
+def _floor(subject: Subject) -> np.ndarray:
+    """(steps, n) [m]; not a number until the base command is ramped in."""
+    config = subject.config.environment
+    lengths = jnp.asarray(subject.targets[command_column(subject.config.base)])
+    arrival = jax.vmap(lambda row: ramp_time(subject.robot, row))(lengths)
+    bends = jax.vmap(lambda row: bends_from_cables(subject.robot, row))(lengths)
+    noise, steps = config.randomisation.encoder_noise_deg, jnp.arange(1, config.episode_steps + 1)
+    since = steps[:, None] * config.control_period - arrival
+    frames = jnp.floor(since / config.control_period) + 1.0
+    keys = jax.random.split(jax.random.key(subject.seed + _STUDY_SEED), len(steps))
+    floor = jax.jit(jax.vmap(lambda frames, key: encoder_floor(subject.robot, bends, noise, frames, key)))
+    return np.where(since >= 0.0, floor(jnp.maximum(frames, 1.0), keys), np.nan)
+
+
+def effects(subject: Subject, advance: Callable[[], None]) -> dict[str, dict[str, float]]:
+    """Parameter, varied alone -> errors of the learned IK without feedback; "nothing" and "all" as marks."""
+    found = {}
+    for name, randomisation in one_at_a_time(subject.config.environment.randomisation).items():
+        environment = dataclasses.replace(subject.config.environment, randomisation=randomisation)
+        found[name] = errors_of(subject.judge(environment, "learned"), subject.targets["target_set"])
+        advance()
+    return found
+
+
+def ablate(
+    subject: Subject, bank: Arrays, settings: ResidualStudyConfig, directory: Path, advance: Callable[[], None]
+) -> dict[str, Any]:
+    """Ablation -> errors of the policy's base and of the policy, in its own environment; a finished one is read again."""
+    variants, found = ablations(subject.config, settings.share), {}
+    for name in settings.ablations:
+        config, path = variants[name], directory / name.replace(", ", "-").replace(" ", "_")
+        done = path / "judged.json"
+        identity = artifacts.hash_of([as_mapping(config), settings.num_targets, subject.seed])
+        if done.exists() and (known := artifacts.load(done))["identity"] == identity:
+            found[name] = known["errors"]
+        else:
+            trained = train_policy(subject.robot, subject.simulation, config, bank, subject.seed, path)
+            controllers = {"base": None, "policy": acting(trained.policy)}
+            found[name] = {
+                controller: errors_of(
+                    subject.judge(config.environment, config.base, act), subject.targets["target_set"]
+                )
+                for controller, act in controllers.items()
+            }
+            artifacts.write_json(done, {"identity": identity, "errors": found[name]})
+        advance()
+    return found
+
+
+def errors_of(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
+    """Median and p90 of each set: "uniform_median_mm", ..., "uniform_median_deg"."""
+    millimetres, degrees = 1e3 * judgement.position_error, np.degrees(judgement.orientation_error)
+    found = {}
+    for index, name in enumerate(TARGET_SETS):
+        rows = judgement.is_valid & (target_set == index)
+        found[f"{name}_median_mm"] = float(np.median(millimetres[rows]))
+        found[f"{name}_p90_mm"] = float(np.percentile(millimetres[rows], 90))
+        found[f"{name}_median_deg"] = float(np.median(degrees[rows]))
+    return found

@@ -1,0 +1,44 @@
+"""Tables of the residual study."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from qjrl.analysis.tables import Column, Table
+from qjrl.control.targets import TARGET_SETS
+
+_LABELS = {"uniform": "uniform bends", "near_home": "near home"}
+
+
+def effects_table(effects: Mapping[str, Mapping[str, float]]) -> Table:
+    """The base's errors under each randomised parameter alone."""
+    columns = (Column("randomised alone"), *(column for name in TARGET_SETS for column in _columns(_LABELS[name])))
+    rows = tuple((name.replace("_", " "), *_cells(errors)) for name, errors in effects.items())
+    return Table(columns, rows, note="Learned IK without feedback.")
+
+
+def ablation_table(found: Mapping[str, Mapping[str, Any]]) -> Table:
+    """Policy against its base, for each ablation."""
+    columns = (
+        Column("ablation"),
+        Column("controller"),
+        *(column for name in TARGET_SETS for column in _columns(_LABELS[name])),
+    )
+    rows = tuple(
+        (name if controller == "base" else "", controller, *_cells(errors))
+        for name, both in found.items()
+        for controller, errors in both.items()
+    )
+    return Table(columns, rows, note="Base and policy of a pair have the same targets, arms and noise.")
+
+
+def _columns(group: str) -> tuple[Column, ...]:
+    return (
+        Column(f"{group}, median", 3, "mm"),
+        Column("p90", 3, "mm"),
+        Column("median", 3, "°"),
+    )
+
+
+def _cells(errors: Mapping[str, float]) -> tuple[float, ...]:
+    quantities = ("median_mm", "p90_mm", "median_deg")
+    return tuple(errors[f"{name}_{quantity}"] for name in TARGET_SETS for quantity in quantities)

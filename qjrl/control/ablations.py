@@ -1,0 +1,64 @@
+"""The training of the residual policy with one thing changed at a time, each for a share of the steps."""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from qjrl.control.parameter_effects import NOMINAL
+from qjrl.control.policy_training import PolicyConfig
+
+_Change = Callable[[PolicyConfig], PolicyConfig]
+
+
+def ablations(config: PolicyConfig, share: float) -> dict[str, PolicyConfig]:
+    """Name -> configuration; "as it is" first. All have `share` of the rounds of imitation and of the steps of PPO."""
+    imitation = dataclasses.replace(config.ppo.imitation, rounds=round(share * config.ppo.imitation.rounds))
+    shortened = _with_ppo(config, num_steps=max(1, round(share * config.ppo.num_steps)), imitation=imitation)
+    return {name: change(shortened) for name, change in _CHANGES.items()}
+
+
+def _with_ppo(config: PolicyConfig, **changes: Any) -> PolicyConfig:
+    return dataclasses.replace(config, ppo=dataclasses.replace(config.ppo, **changes))
+
+
+def _with_environment(config: PolicyConfig, **changes: Any) -> PolicyConfig:
+    return dataclasses.replace(config, environment=dataclasses.replace(config.environment, **changes))
+
+
+def _without_imitation(config: PolicyConfig) -> PolicyConfig:
+    return _with_ppo(config, imitation=dataclasses.replace(config.ppo.imitation, rounds=0))
+
+
+def _from_noise(config: PolicyConfig) -> PolicyConfig:
+    return _with_ppo(_without_imitation(config), starts_at_zero=False)
+
+
+def _without_rate(config: PolicyConfig) -> PolicyConfig:
+    """The paper's: up to 20 mm at once (section 4)."""
+    bound = 0.02
+    rate = bound / config.environment.control_period
+    residual = dataclasses.replace(config.environment.residual, bound=bound, rate=rate, lag=0.0)
+    return _with_environment(config, residual=residual)
+
+
+def _with_nominal_noise(config: PolicyConfig) -> PolicyConfig:
+    randomisation = config.environment.randomisation
+    less = dataclasses.replace(randomisation, encoder_noise_deg=randomisation.encoder_noise_deg / 5.0)
+    return _with_environment(config, randomisation=less)
+
+
+def _without_randomisation(config: PolicyConfig) -> PolicyConfig:
+    noise = config.environment.randomisation.encoder_noise_deg
+    return _with_environment(config, randomisation=dataclasses.replace(NOMINAL, encoder_noise_deg=noise))
+
+
+_CHANGES: dict[str, _Change] = {
+    "as it is": lambda config: config,
+    "no imitation": _without_imitation,
+    "no imitation, random start": _from_noise,
+    "20 mm a step": _without_rate,
+    "no sensor memory": lambda config: _with_environment(config, remembers=False),
+    "noise a fifth": _with_nominal_noise,
+    "no randomisation": _without_randomisation,
+}
+ABLATIONS = tuple(_CHANGES)

@@ -1,0 +1,59 @@
+"""Stage `residual`: what the trained policy does over time, what makes its base err, and what in its training matters."""
+
+import dataclasses
+import logging
+from pathlib import Path
+
+import numpy as np
+
+from qjrl import artifacts, progress
+from qjrl.analysis.canvas import save_png
+from qjrl.analysis.residual import figures, tables
+from qjrl.analysis.residual.study import ResidualStudyConfig, ablate, effects, make_subject, over_time
+from qjrl.analysis.tables import as_markdown, as_text
+from qjrl.control.parameter_effects import one_at_a_time
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.targets import TARGET_SETS
+from qjrl.learning.ppo.policy import load_policy
+from qjrl.robot import robot_from_mapping
+from qjrl.simulation.settle_problem import SettleConfig
+
+log = logging.getLogger(__name__)
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    robot: dict
+    simulation: SettleConfig
+    policy: PolicyConfig
+    residual: ResidualStudyConfig
+    seed: int
+
+
+def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
+    """Write `metrics.json`, `traces.npz`, `table.md`, the figures, and a directory for each ablation."""
+    robot, settings = robot_from_mapping(config.robot), config.residual
+    held_out, bank = (artifacts.load(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
+    subject = make_subject(robot, config.simulation, config.policy, held_out, settings.num_targets, config.seed)
+    traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
+    artifacts.write_arrays(out / "traces.npz", traces | {"target_set": subject.targets["target_set"]})
+    for index, name in enumerate(TARGET_SETS):
+        of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
+        figure = figures.errors_over_time(of_set, config.policy.environment.control_period)
+        save_png(figure, out / f"errors_{name}.png", dpi=110)
+    parameters = one_at_a_time(config.policy.environment.randomisation)
+    with progress.track(len(parameters), "one parameter at a time") as advance:
+        alone = effects(subject, lambda: advance(1))
+    with progress.track(len(settings.ablations), "ablations") as advance:
+        ablated = ablate(subject, bank, settings, out / "ablations", lambda: advance(1))
+    scored = config.policy.environment.scored_steps
+    floor = {
+        name: 1e3 * float(np.median(traces["floor"][-scored:, subject.targets["target_set"] == index]))
+        for index, name in enumerate(TARGET_SETS)
+    }
+    artifacts.write_json(out / "metrics.json", {"floor_mm": floor, "effects": alone, "ablations": ablated})
+    written = [tables.effects_table(alone), *([tables.ablation_table(ablated)] if ablated else [])]
+    artifacts.write_bytes(out / "table.md", "\n".join(map(as_markdown, written)).encode())
+    for table in written:
+        log.info("%s\n", as_text(table))
+    log.info("residual: encoder noise alone, averaged since arrival: %s", floor)
