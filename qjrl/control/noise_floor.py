@@ -21,9 +21,11 @@ def encoder_floor(robot: Robot, bends: jax.Array, noise_deg: float, frames: jax.
         frames: (n,) readings averaged, at least 1.
     """
 
+    working = jnp.array(robot.joints_per_segment)
+
     def one(bends, frames, key):
         exact = rotation_vectors(bends)
-        mean = exact + (read_encoders(robot, bends, noise_deg, key) - exact) / jnp.sqrt(frames)
+        mean = exact + (read_encoders(robot, bends, noise_deg, key, working) - exact) / jnp.sqrt(frames)
         return position_error(sensed_pose(robot, mean), sensed_pose(robot, exact))
 
     return jax.vmap(one)(bends, frames, jax.random.split(key, len(bends)))

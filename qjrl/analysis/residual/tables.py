@@ -3,15 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
+from qjrl.analysis.controllers.outcomes import TARGET_SET_LABELS
 from qjrl.analysis.tables import Column, Table
-from qjrl.control.targets import TARGET_SETS
-
-_LABELS = {"uniform": "uniform bends", "near_home": "near home"}
 
 
 def effects_table(effects: Mapping[str, Mapping[str, float]]) -> Table:
     """The base's errors under each randomised parameter alone."""
-    columns = (Column("randomised alone"), *(column for name in TARGET_SETS for column in _columns(_LABELS[name])))
+    columns = (
+        Column("randomised alone"),
+        *(column for label in TARGET_SET_LABELS.values() for column in _columns(label)),
+    )
     rows = tuple((name.replace("_", " "), *_cells(errors)) for name, errors in effects.items())
     return Table(columns, rows, note="Learned IK without feedback.")
 
@@ -21,7 +22,7 @@ def ablation_table(found: Mapping[str, Mapping[str, Any]]) -> Table:
     columns = (
         Column("ablation"),
         Column("controller"),
-        *(column for name in TARGET_SETS for column in _columns(_LABELS[name])),
+        *(column for label in TARGET_SET_LABELS.values() for column in _columns(label)),
     )
     rows = tuple(
         (name if controller == "base" else "", controller, *_cells(errors))
@@ -41,4 +42,4 @@ def _columns(group: str) -> tuple[Column, ...]:
 
 def _cells(errors: Mapping[str, float]) -> tuple[float, ...]:
     quantities = ("median_mm", "p90_mm", "median_deg")
-    return tuple(errors[f"{name}_{quantity}"] for name in TARGET_SETS for quantity in quantities)
+    return tuple(errors[f"{name}_{quantity}"] for name in TARGET_SET_LABELS for quantity in quantities)
