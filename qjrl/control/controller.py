@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from qjrl.control import motors, tip_correction
 from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
-from qjrl.control.sensors import MEMORY_SIZE, SETTLING, remember
+from qjrl.control.sensors import MEMORY_SIZE, remember
 from qjrl.robot.verbs import Robot
 
 
@@ -110,18 +110,18 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
 def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
     """A reading (segments, 2) [rad] one control period later: memory and integral.
 
-    Feedback acts once the base command is ramped in and the dither over.
+    Feedback acts once the base command is ramped in and the first swings of the dither are over.
     """
     state = dataclasses.replace(state, step=state.step + 1, reading=reading)
     deviation = state.reading - held_rotation_vectors(robot, state.command)
-    memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
+    memory = remember(state.memory, deviation, state.step, waited(config, robot, state), config.control_period)
     if not config.remembers:
         memory = jnp.broadcast_to(deviation, memory.shape)
     difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
     moved = tip_correction.integrate(
         config.integral, state.integral, state.correction, difference, config.control_period
     )
-    begins = SETTLING if config.dither.amplitude > 0.0 else 0.0
+    begins = config.dither.decay if config.dither.amplitude > 0.0 else 0.0
     acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
     integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
     return dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)

@@ -4,7 +4,8 @@ Each joint's encoders measure its bend as a rotation vector theta (cos phi, sin 
 segment bend alike, so their mean is the segment's estimate (our reading of the paper's "estimated bend angle and
 direction for each segment, derived via polynomial fitting"). The memory holds means of the readings' deviation from
 where the command would hold a perfect arm: it changes slowly while the command moves, so that it can be averaged for
-seconds, as the noise demands. Three means are exponential; the fourth is over all readings since the arm has arrived.
+seconds, as the noise demands. Three means are exponential, two are plain: over all readings on the way, which tell how
+stiff the arm is and which way is down before it arrives, and over all since.
 """
 
 import math
@@ -18,9 +19,9 @@ from qjrl.robot.quaternion_arm.joint import bend_angle
 
 # Time constants of the memory [s]; at 50 Hz they average about 10, 40 and 160 frames.
 TIME_CONSTANTS = (0.1, 0.4, 1.6)
-# ... beside them a plain mean of all since this long after the arm has arrived [s].
-SETTLING = 0.4
-MEMORY_SIZE = len(TIME_CONSTANTS) + 1
+# The plain mean of what is read at the end begins this long after the arm has arrived [s].
+SETTLING = 0.1
+MEMORY_SIZE = len(TIME_CONSTANTS) + 2
 
 
 def rotation_vectors(bends: jax.Array) -> jax.Array:
@@ -50,13 +51,15 @@ def read_encoders(
     return share[:, None] * rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
 
 
-def remember(memory: jax.Array, deviation: jax.Array, waited: jax.Array, period: float) -> jax.Array:
-    """The memory (MEMORY_SIZE, segments, 2) one control period [s] later.
+def remember(memory: jax.Array, deviation: jax.Array, step: jax.Array, waited: jax.Array, period: float) -> jax.Array:
+    """The memory (MEMORY_SIZE, segments, 2) one control period [s] later: exponential means, way, end.
 
     Args:
-        waited: time [s] since the base command is ramped in; the last mean begins `SETTLING` later.
+        step: control steps since the start, at which the first reading filled the memory.
+        waited: time [s] since the base command is ramped in, 0 on the way; the mean of the end begins `SETTLING` later.
     """
     exponential = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
-    plain = period / (jnp.maximum(waited - SETTLING, 0.0) + period)
-    weights = jnp.concatenate([exponential, plain[None]])
+    way = jnp.where(waited <= 0.0, 1.0 / (step + 1.0), 0.0)
+    end = period / (jnp.maximum(waited - SETTLING, 0.0) + period)
+    weights = jnp.concatenate([exponential, jnp.stack([way, end])])
     return memory + weights[:, None, None] * (deviation - memory)
