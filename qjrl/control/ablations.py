@@ -6,6 +6,7 @@ from typing import Any
 
 from qjrl.control.parameter_effects import NOMINAL
 from qjrl.control.policy_training import PolicyConfig
+from qjrl.learning.ppo.config import PPOConfig
 
 _Change = Callable[[PolicyConfig], PolicyConfig]
 
@@ -26,7 +27,10 @@ def _with_environment(config: PolicyConfig, **changes: Any) -> PolicyConfig:
 
 
 def _without_imitation(config: PolicyConfig) -> PolicyConfig:
-    return _with_ppo(config, imitation=dataclasses.replace(config.ppo.imitation, rounds=0))
+    """With the customary rates of learning: those of a policy that is refined alone are too small for one that begins."""
+    usual, imitation = PPOConfig(), dataclasses.replace(config.ppo.imitation, rounds=0)
+    rates = ("learning_rate", "min_learning_rate", "max_learning_rate", "target_kl")
+    return _with_ppo(config, imitation=imitation, **{name: getattr(usual, name) for name in rates})
 
 
 def _from_noise(config: PolicyConfig) -> PolicyConfig:

@@ -10,7 +10,9 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.imitation import ImitationConfig
 
-CONFIG = PolicyConfig(ppo=PPOConfig(num_steps=1000, imitation=ImitationConfig(rounds=8)))
+CONFIG = PolicyConfig(
+    ppo=PPOConfig(num_steps=1000, learning_rate=1e-5, target_kl=0.01, imitation=ImitationConfig(rounds=8))
+)
 
 
 def differences(one, other, path=""):
@@ -27,11 +29,12 @@ def test_every_ablation_is_shortened_and_changes_what_its_name_says():
     assert differences(as_mapping(CONFIG), reference) == ["ppo.num_steps", "ppo.imitation.rounds"]
     assert made["as it is"].ppo.num_steps == 250 and made["as it is"].ppo.imitation.rounds == 2
     changed = {name: set(differences(reference, as_mapping(config))) for name, config in made.items()}
+    usual = {"ppo.learning_rate", "ppo.target_kl"}
     residual, randomised = "environment.residual", "environment.randomisation"
     assert changed == {
         "as it is": set(),
-        "no imitation": {"ppo.imitation.rounds"},
-        "no imitation, random start": {"ppo.imitation.rounds", "ppo.starts_at_zero"},
+        "no imitation": {"ppo.imitation.rounds", *usual},
+        "no imitation, random start": {"ppo.imitation.rounds", "ppo.starts_at_zero", *usual},
         "20 mm a step": {f"{residual}.bound", f"{residual}.rate", f"{residual}.lag"},
         "no sensor memory": {"environment.remembers"},
         "noise a fifth": {f"{randomised}.encoder_noise_deg"},
