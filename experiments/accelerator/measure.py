@@ -123,14 +123,10 @@ def training(robot: Robot, sizes: Sizes, engine: str) -> dict[str, Any]:
 
 def closed_form_rows(robot: Robot, lengths: np.ndarray) -> dict[str, np.ndarray]:
     """As a data set would hold them."""
-    poses = jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row)))(jnp.asarray(lengths))
-    count = len(lengths)
-    return {
-        "cable_lengths": lengths,
-        "pose": np.asarray(poses),
-        "converged": np.ones(count, bool),
-        "seed": np.arange(count),
-    }
+    bends = jax.vmap(lambda row: bends_from_cables(robot, row))(jnp.asarray(lengths))
+    poses = jax.vmap(lambda row: forward_kinematics(robot, row))(bends)
+    every = {"converged": np.ones(len(lengths), bool), "seed": np.arange(len(lengths))}
+    return {"cable_lengths": lengths, "bends": np.asarray(bends), "pose": np.asarray(poses)} | every
 
 
 def timed(function: Callable[[], Any]) -> tuple[float, Any]:
