@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from qjrl.analysis.canvas import as_png
 from qjrl.analysis.controllers.outcomes import Outcome
@@ -43,7 +44,7 @@ def test_the_table_has_median_and_p90_of_every_controller_in_every_row():
         ("uniform bends", "as trained", 11), ("uniform bends", "delay", 11),
         ("near home", "as trained", 11), ("near home", "delay", 11),
     ]  # fmt: skip
-    np.testing.assert_allclose(table.rows[3][3:], [1.0, 1.8, 3.0, 5.4])
+    assert table.rows[3][3:] == pytest.approx((1.0, 1.8, 3.0, 5.4))
     assert table.marked == {3} and "3.00" in as_text(table)
 
 

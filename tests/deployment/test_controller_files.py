@@ -49,10 +49,13 @@ def test_the_stablehlo_controller_is_the_packages_over_whole_episodes():
 
 
 def test_files_that_command_something_else_are_refused():
-    class Shifted:
-        def begin(self, *task):
+    class Shifted(FileController):
+        def __init__(self):
+            pass
+
+        def begin(self, target, base_lengths, reading):
             self._inner = exported().controllers["control_step.stablehlo"]
-            self._inner.begin(*task)
+            return self._inner.begin(target, base_lengths, reading)
 
         def step(self, reading):
             return self._inner.step(reading) + 2e-5
@@ -95,7 +98,7 @@ def test_motor_angles_are_the_command_on_the_pulley():
 
 def test_a_policy_of_other_sizes_is_one_line():
     assert checked_policy(CONFIG.controller, ARM, policy()) is policy()
-    short = policy().replace(mean=policy().mean[:-1])
+    short = dataclasses.replace(policy(), mean=policy().mean[:-1])
     with pytest.raises(ArtifactError, match=r"policy: sees \d+ numbers .* run stages=\[policy,deploy\]"):
         checked_policy(CONFIG.controller, ARM, short)
 
