@@ -59,6 +59,10 @@ class ExportConfig:
     def __post_init__(self):
         if not self.platforms:
             raise ConfigError("platforms: got [], allowed: at least one of cpu, cuda, rocm, tpu")
+        if (
+            self.onnx and self.precision == "float64"
+        ):  # jax2onnx makes a float32 network within it a file that does not load
+            raise ConfigError("precision: got float64 with onnx true, allowed: float32, or float64 with onnx false")
 
 
 @dataclasses.dataclass(frozen=True)

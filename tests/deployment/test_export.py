@@ -18,9 +18,10 @@ from settled import settled_rows
 
 from qjrl import artifacts
 from qjrl.artifacts import ArtifactError, hash_of_file
+from qjrl.config import ConfigError
 from qjrl.deployment import export as deployment_export
 from qjrl.deployment import onnx_model, stablehlo
-from qjrl.deployment.export import export_controller, held_out_rows
+from qjrl.deployment.export import ExportConfig, export_controller, held_out_rows
 from qjrl.deployment.parity import ParityError, check_inverse, make_reference
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot import bends_from_cables
@@ -205,9 +206,14 @@ def test_an_inverse_that_lies_bends_too_far_or_solves_less_is_refused():
         check_inverse("file", lambda _: honest, lambda _: solves, reference)
 
 
+def test_double_precision_in_onnx_is_refused():
+    with pytest.raises(ConfigError, match="precision: got float64 with onnx true, allowed: float32, or"):
+        ExportConfig(precision="float64", onnx=True)
+
+
 @pytest.mark.slow
 def test_the_papers_form_in_double_precision_is_exact():
-    wanted = dataclasses.replace(CONFIG, precision="float64", platforms=("cpu",))
+    wanted = dataclasses.replace(CONFIG, precision="float64", platforms=("cpu",), onnx=False)
     model = untrained_model("paper")
     export = export_controller(ARM, model, wanted, settled_rows(32), 0, solve=staying_home(model))
     assert export.metrics["parity"]["forward_model.stablehlo"]["random"]["position_difference"] < 1e-9
