@@ -219,7 +219,8 @@ def _tuple(value: Any, kind: Any, where: str) -> tuple[Any, ...]:
 
 
 def _join(where: str, key: Any) -> str:
-    return f"{where}.{key}" if where else str(key)
+    name = str(key) if str(key).isprintable() else repr(key)
+    return f"{where}.{name}" if where else name
 
 
 def _placed(text: str, where: str, fields: Collection[str]) -> str:

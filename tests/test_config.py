@@ -128,6 +128,11 @@ def test_whatever_is_given_either_builds_or_is_refused_in_one_line(anything) -> 
         assert "\n" not in str(error)
 
 
+def test_a_key_that_cannot_be_printed_is_quoted() -> None:
+    with pytest.raises(ConfigError, match=r"^'a\\nb': got null, but there is no such key"):
+        build(Arm, {"a\nb": None})
+
+
 def test_yaml_numbers_with_an_exponent_are_numbers(tmp_path) -> None:
     (tmp_path / "a.yaml").write_text("a: 1e-3\nb: 2E5\nc: 1.5e3\nd: 7\ne: e5\n")
     assert read_yaml(tmp_path / "a.yaml") == {"a": 0.001, "b": 2e5, "c": 1500.0, "d": 7, "e": "e5"}

@@ -1,6 +1,7 @@
 """All default stages on the two-segment arm at the smallest size, then again, then with one value changed."""
 
 import dataclasses
+import html
 import logging
 import shutil
 
@@ -143,7 +144,7 @@ def test_every_controller_is_compared_on_both_sets(finished):
     assert metrics["controllers"].keys() == set(TARGET_SETS)
     for controllers in metrics["controllers"].values():
         assert controllers.keys() == CONTROLLERS
-    assert metrics["headline"] in (finished / "compare" / "report.html").read_text()
+    assert html.escape(metrics["headline"]) in (finished / "compare" / "report.html").read_text()
     outcomes = artifacts.load(finished / "compare" / "outcomes.npz")
     for target_set in TARGET_SETS:
         sizes = {len(outcomes[f"{target_set}/{controller}/position_error"]) for controller in CONTROLLERS}
