@@ -1,13 +1,16 @@
 """Judge a controller: one episode for every target of a bank, under given randomisation, errors at the end."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.motors import ramp_time
+from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import Stepper
@@ -34,7 +37,16 @@ class Judgement:
 
 def arrives_in_time(robot: Robot, config: EnvironmentConfig, base_lengths: np.ndarray) -> np.ndarray:
     """Which base commands (n, num_cables) [m] the motors can ramp in before `latest_arrival`."""
-    return np.array([float(ramp_time(robot, row)) <= config.latest_arrival for row in base_lengths])
+    times = jax.vmap(lambda row: ramp_time(robot, row))(jnp.asarray(base_lengths))
+    return np.asarray(times) <= config.latest_arrival
+
+
+def rows_in_time(
+    robot: Robot, config: EnvironmentConfig, targets: Mapping[str, np.ndarray], columns: Iterable[str]
+) -> dict[str, np.ndarray]:
+    """Target set -> its rows in a target bank at which the base commands of all `columns` arrive in time."""
+    in_time = np.all([arrives_in_time(robot, config, targets[name]) for name in columns], axis=0)
+    return {name: np.flatnonzero((targets["target_set"] == i) & in_time) for i, name in enumerate(TARGET_SETS)}
 
 
 def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from qjrl.config import ConfigError, Range
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Judge, Judgement, arrives_in_time
+from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.iteration import Record
@@ -75,15 +75,14 @@ def train_policy(
     Raises:
         ConfigError: the bank has too few targets.
     """
-    in_time = arrives_in_time(robot, config.environment, targets[command_column(config.base)])
-    rows = [np.flatnonzero((targets["target_set"] == index) & in_time) for index in range(len(TARGET_SETS))]
-    for name, found in zip(TARGET_SETS, rows, strict=True):
+    rows = rows_in_time(robot, config.environment, targets, [command_column(config.base)])
+    for name, found in rows.items():
         if len(found) <= config.num_judged:
             raise ConfigError(
                 f"policy.num_judged: got {config.num_judged}, allowed: fewer than the {len(found)} {name} targets of the bank"
             )
-    trained_on = np.concatenate([found[: -config.num_judged] for found in rows])
-    judged = np.concatenate([found[-config.num_judged :] for found in rows])
+    trained_on = np.concatenate([found[: -config.num_judged] for found in rows.values()])
+    judged = np.concatenate([found[-config.num_judged :] for found in rows.values()])
     of_base = environment_of(config.environment, config.base)
     is_minimal = config.engine == "minimal"
     judge_stepper = make_stepper(robot, len(judged), simulation, is_minimal)
@@ -96,7 +95,7 @@ def train_policy(
         if config.tensorboard:
             callbacks.append(stack.enter_context(tensorboard(directory / "tensorboard")))
         policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
-    left_out = {name: int(np.sum((targets["target_set"] == i) & ~in_time)) for i, name in enumerate(TARGET_SETS)}
+    left_out = {name: int(np.sum(targets["target_set"] == i)) - len(rows[name]) for i, name in enumerate(TARGET_SETS)}
     return TrainedPolicy(policy, left_out)
 
 

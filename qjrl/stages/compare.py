@@ -9,6 +9,7 @@ import numpy as np
 from qjrl import artifacts, progress
 from qjrl.analysis import metrics as measures
 from qjrl.analysis.controllers import sections
+from qjrl.analysis.controllers.answers import outcome_of
 from qjrl.analysis.controllers.outcomes import Outcome, controller_label
 from qjrl.analysis.report import Report, write_report
 from qjrl.analysis.report_html import Number
@@ -21,7 +22,6 @@ from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import SLACK_TENSION
 
 log = logging.getLogger(__name__)
 
@@ -44,15 +44,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     with progress.track(total, "comparing controllers") as advance:
         judged = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
     outcomes = [
-        Outcome(
-            name,
-            target_set,
-            one.position_error,
-            one.orientation_error,
-            one.strand_tension,
-            one.strand_tension < SLACK_TENSION,
-            left_out,
-        )
+        outcome_of(name, target_set, one.position_error, one.orientation_error, one.strand_tension, left_out)
         for (target_set, name), (one, left_out) in judged.items()
     ]
     trained = artifacts.load(inputs["policy"] / "metrics.json")

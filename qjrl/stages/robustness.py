@@ -6,6 +6,7 @@ from pathlib import Path
 
 from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
+from qjrl.analysis.controllers.answers import outcome_of
 from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.robustness.figures import errors_by_disturbance
 from qjrl.analysis.robustness.report import robustness_metrics, robustness_table
@@ -17,7 +18,6 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import SLACK_TENSION
 
 log = logging.getLogger(__name__)
 
@@ -62,6 +62,5 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
 
 
 def _outcome(target_set: str, controller: str, judgement, left_out: int) -> Outcome:
-    tension = judgement.strand_tension
-    errors = judgement.position_error, judgement.orientation_error
-    return Outcome(controller, target_set, *errors, tension, tension < SLACK_TENSION, left_out)
+    judged = judgement.position_error, judgement.orientation_error, judgement.strand_tension
+    return outcome_of(controller, target_set, *judged, left_out)

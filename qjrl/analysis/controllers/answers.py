@@ -36,16 +36,29 @@ def outcome_at_rest(
     Args:
         position_error: (n,) [m]; orientation_error: (n,) [rad]; strand_tension: (n, strands) [N]; has_settled: (n,).
     """
-    tension = strand_tension[has_settled]
-    return Outcome(
-        controller=controller,
-        target_set=target_set,
-        position_error=position_error[has_settled],
-        orientation_error=orientation_error[has_settled],
-        strand_tension=tension,
-        is_slack=tension < SLACK_TENSION,
-        num_left_out=int(len(has_settled) - has_settled.sum()),
-    )
+    at_rest = {
+        "position_error": position_error[has_settled],
+        "orientation_error": orientation_error[has_settled],
+        "strand_tension": strand_tension[has_settled],
+    }
+    return outcome_of(controller, target_set, **at_rest, num_left_out=int(len(has_settled) - has_settled.sum()))
+
+
+def outcome_of(
+    controller: str,
+    target_set: str,
+    position_error: np.ndarray,
+    orientation_error: np.ndarray,
+    strand_tension: np.ndarray,
+    num_left_out: int,
+) -> Outcome:
+    """Outcome with the strands that carry no tension told apart.
+
+    Args:
+        position_error: (n,) [m]; orientation_error: (n,) [rad]; strand_tension: (n, strands) [N].
+    """
+    is_slack = strand_tension < SLACK_TENSION
+    return Outcome(controller, target_set, position_error, orientation_error, strand_tension, is_slack, num_left_out)
 
 
 def predicted_errors(answers: Mapping[str, np.ndarray], target_sets: Sequence[str]) -> dict[str, dict[str, float]]:

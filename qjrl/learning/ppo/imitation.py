@@ -82,8 +82,9 @@ def imitate(
     normaliser, rows, observation = _act(
         environment, config, policy, normaliser, observation, deviation, random, advance
     )
-    mean, std = (np.asarray(statistics[ACTOR_KEY]) for statistics in _statistics(normaliser))
-    policy = dataclasses.replace(policy, mean=mean, std=std)
+    statistics: Any = normaliser
+    mean, std = statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]
+    policy = dataclasses.replace(policy, mean=np.asarray(mean), std=np.asarray(std))
     policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
     return Imitated(policy, normaliser, observation, loss)
 
@@ -107,10 +108,6 @@ def _act(environment, config: ImitationConfig, policy, normaliser, observation, 
     return normaliser, tuple(np.concatenate(columns) for columns in zip(*kept, strict=True)), observation
 
 
-def _statistics(normaliser: Any) -> tuple[Any, Any]:
-    return normaliser.mean, normaliser.std
-
-
 def _with_time(observation: Observation) -> dict[str, Any]:
     return {name: np.asarray(rows)[None] for name, rows in observation.items()}
 
@@ -122,26 +119,29 @@ def _fit(
     batch_size = min(config.batch_size, len(rows[0]))
     per_epoch = len(rows[0]) // batch_size
     per_round = config.epochs * per_epoch
-    whole = optax.cosine_decay_schedule(config.learning_rate, config.rounds * per_round)
-    optimiser = optax.adam(lambda step: whole(step + number * per_round))
-    layers = jax.tree.map(jnp.array, policy.layers)
-    carry, on_device, loss = (layers, optimiser.init(layers)), jax.tree.map(jnp.asarray, rows), jnp.nan
-    epoch = jax.jit(functools.partial(_epoch, optimiser, per_epoch, batch_size), donate_argnums=0)
+    schedule = optax.cosine_decay_schedule(config.learning_rate, config.rounds * per_round)
+    layers, on_device = jax.tree.map(jnp.array, (policy.layers, rows))
+    loss = jnp.nan
+    carry = layers, optax.scale_by_adam().init(layers)
     for passed in range(config.epochs):
-        carry, loss = epoch(carry, policy, on_device, jax.random.fold_in(key, passed))
+        order = jax.random.permutation(jax.random.fold_in(key, passed), jnp.arange(len(rows[0]), dtype=jnp.int32))
+        batches = order[: per_epoch * batch_size].reshape(per_epoch, batch_size)
+        rates = schedule(number * per_round + passed * per_epoch + jnp.arange(per_epoch))
+        carry, loss = _epoch(carry, policy, on_device, batches, rates)
     return dataclasses.replace(policy, layers=jax.tree.map(np.asarray, carry[0])), float(loss)
 
 
-def _epoch(optimiser, per_epoch: int, batch_size: int, carry, policy: Policy, rows, key: jax.Array):
-    order = jax.random.permutation(key, jnp.arange(len(rows[0]), dtype=jnp.int32))
+@functools.partial(jax.jit, donate_argnums=0)
+def _epoch(carry, policy: Policy, rows, batches: jax.Array, rates: jax.Array):
+    """Layers and state of Adam after a step for each row of `batches` (steps, batch), and the mean loss."""
 
-    def step(carry, chosen):
-        layers, state = carry
+    def step(carry, inputs):
+        (layers, state), (chosen, rate) = carry, inputs
         loss, gradient = jax.value_and_grad(_distance)(layers, policy, rows[0][chosen], rows[1][chosen])
-        change, state = optimiser.update(gradient, state)
-        return (optax.apply_updates(layers, change), state), loss
+        direction, state = optax.scale_by_adam().update(gradient, state)
+        return (jax.tree.map(lambda old, change: old - rate * change, layers, direction), state), loss
 
-    carry, losses = jax.lax.scan(step, carry, order[: per_epoch * batch_size].reshape(per_epoch, batch_size))
+    carry, losses = jax.lax.scan(step, carry, (batches, rates))
     return carry, jnp.mean(losses)
 
 
