@@ -48,7 +48,15 @@ def _without_rate(config: PolicyConfig) -> PolicyConfig:
 def _with_nominal_noise(config: PolicyConfig) -> PolicyConfig:
     randomisation = config.environment.randomisation
     less = dataclasses.replace(randomisation, encoder_noise_deg=randomisation.encoder_noise_deg / 5.0)
-    return _with_environment(config, randomisation=less)
+    known = dataclasses.replace(config.environment.estimate, encoder_noise_deg=less.encoder_noise_deg)
+    return _with_environment(config, randomisation=less, estimate=known)
+
+
+def _without_prior(config: PolicyConfig) -> PolicyConfig:
+    """The estimate is the readings' mean when next to nothing is believed before."""
+    known = config.environment.estimate
+    vague = {name: 100.0 * getattr(known, name) for name in ("gain", "tilt_deg", "friction")}
+    return _with_environment(config, estimate=dataclasses.replace(known, **vague))
 
 
 def _without_randomisation(config: PolicyConfig) -> PolicyConfig:
@@ -62,6 +70,7 @@ _CHANGES: dict[str, _Change] = {
     "no imitation, random start": _from_noise,
     "20 mm a step": _without_rate,
     "no sensor memory": lambda config: _with_environment(config, remembers=False),
+    "no prior": _without_prior,
     "noise a fifth": _with_nominal_noise,
     "no randomisation": _without_randomisation,
 }

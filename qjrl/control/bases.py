@@ -9,9 +9,9 @@ import numpy as np
 
 from qjrl.control.episode import Bank, EnvironmentConfig
 
-Base = Literal["nominal", "learned", "integral", "dither", "dither_integral"]
+Base = Literal["nominal", "learned", "integral", "dither", "dither_integral", "estimate"]
 """Inverse kinematics of the closed form; of the learned model; that with integral feedback from the encoders, with
-dither, with both."""
+dither, with both; with dither and feedback from `arm_estimate`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,16 +22,18 @@ class _Parts:
     """Whose answers in a target bank it commands."""
     has_integral: bool
     has_dither: bool
+    has_estimate: bool
     name: str
     """As a controller."""
 
 
 _PARTS: dict[Base, _Parts] = {
-    "nominal": _Parts("nominal", False, False, "nominal"),
-    "learned": _Parts("learned", False, False, "learned_ik"),
-    "integral": _Parts("learned", True, False, "learned_ik+integral"),
-    "dither": _Parts("learned", False, True, "learned_ik+dither"),
-    "dither_integral": _Parts("learned", True, True, "learned_ik+dither+integral"),
+    "nominal": _Parts("nominal", False, False, False, "nominal"),
+    "learned": _Parts("learned", False, False, False, "learned_ik"),
+    "integral": _Parts("learned", True, False, False, "learned_ik+integral"),
+    "dither": _Parts("learned", False, True, False, "learned_ik+dither"),
+    "dither_integral": _Parts("learned", True, True, False, "learned_ik+dither+integral"),
+    "estimate": _Parts("learned", False, True, True, "learned_ik+dither+estimate"),
 }
 BASES: tuple[Base, ...] = tuple(_PARTS)
 
@@ -56,6 +58,8 @@ def environment_of(config: EnvironmentConfig, base: Base) -> EnvironmentConfig:
     parts = _PARTS[base]
     if not parts.has_integral:
         config = dataclasses.replace(config, integral=dataclasses.replace(config.integral, gain=0.0))
+    if not parts.has_estimate:
+        config = dataclasses.replace(config, estimate=dataclasses.replace(config.estimate, acts=False))
     if not parts.has_dither:
         config = dataclasses.replace(config, dither=dataclasses.replace(config.dither, amplitude=0.0))
     return config

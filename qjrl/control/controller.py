@@ -12,9 +12,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from qjrl.control import motors, tip_correction
+from qjrl.control import arm_estimate, motors, tip_correction
 from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
-from qjrl.control.sensors import MEMORY_SIZE, remember
+from qjrl.control.sensors import MEMORY_SIZE, SETTLING, readings_at_the_end, remember
 from qjrl.robot.verbs import Robot
 
 
@@ -26,6 +26,7 @@ class ControllerConfig:
     """[s]."""
     remembers: bool
     """Whether the policy sees means of the readings, or the newest one in their place."""
+    estimate: arm_estimate.EstimateConfig
     dither: motors.DitherConfig
     integral: tip_correction.IntegralConfig
     residual: motors.ResidualConfig
@@ -38,7 +39,8 @@ def prepare(
 
     A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
     """
-    state = start(robot, begin(config, robot, target, base_lengths), reading)
+    believed = arm_estimate.prior(config.estimate, robot, base_lengths)
+    state = start(robot, begin(config, robot, target, base_lengths, believed), reading)
     return dataclasses.replace(state, step=state.step - 1)
 
 
@@ -59,8 +61,10 @@ def tick(
     return plan(config, robot, state, action)
 
 
-def begin(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> ControlState:
-    """A new target (9,) and the base controller's answer to it (num_cables,) [m]; the arm is at home."""
+def begin(
+    config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array, believed: arm_estimate.Prior
+) -> ControlState:
+    """A new target (9,), the base controller's answer to it (num_cables,) [m], its `prior`; the arm is at home."""
     zeros = jnp.zeros((robot.num_cables,), base_lengths.dtype)
     residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
     readings = jnp.zeros((robot.num_segments, 2), base_lengths.dtype)
@@ -68,9 +72,11 @@ def begin(config: ControllerConfig, robot: Robot, target: jax.Array, base_length
         target=target,
         base_lengths=base_lengths,
         command=zeros,
-        course=zeros,
+        trend=zeros,
         swing=zeros[0],
         correction=tip_correction.correction_matrix(robot, base_lengths),
+        expected=believed.expected,
+        covariance=believed.covariance,
         integral=zeros,
         residual=residual,
         actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
@@ -89,22 +95,50 @@ def start(robot: Robot, state: ControlState, reading: jax.Array) -> ControlState
 def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
     """What the policy sees."""
     offset = motors.residual_lengths(config.residual, state.residual, state.correction)
-    return actor_observation(robot, state, offset, ramped_in(config, robot, state), waited(config, robot, state))
+    guess, ramp, since = estimated(config, robot, state), ramped_in(config, robot, state), waited(config, robot, state)
+    return actor_observation(robot, state, guess, lacking(config, robot, state, guess), offset, ramp, since)
+
+
+def estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """Best guess (segments, 2) [rad] of how far from where a perfect arm would be this one rests."""
+    since = waited(config, robot, state)
+    count = readings_at_the_end(since, config.control_period) if config.remembers else jnp.ones_like(since)
+    believed = arm_estimate.Prior(state.expected, state.covariance)
+    return arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
+
+
+def lacking(config: ControllerConfig, robot: Robot, state: ControlState, guess: jax.Array) -> jax.Array:
+    """What the tip would lack (6,) [m] without residual and dither by such a guess; nothing before the arm has settled."""
+    held = held_rotation_vectors(robot, state.base_lengths + state.integral)
+    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, held + guess), state.target)
+    has_settled = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= SETTLING)
+    return jnp.where(has_settled, difference, 0.0)
+
+
+def own_action(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
+    """What the controller does without a policy (action size,): what the tip lacks by the guess, if that shall act."""
+    if not config.estimate.acts:
+        return jnp.zeros_like(state.residual)
+    missing = lacking(config, robot, state, estimated(config, robot, state))
+    return motors.action_of(config.residual, missing, state.correction).astype(state.residual.dtype)
 
 
 def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: jax.Array) -> ControlState:
     """The next motor command from an action (action size,): all that is added summed before the limits."""
     period = config.control_period
-    residual = motors.move_residual(config.residual, state.residual, action, period)
+    whole = own_action(config, robot, state) + action
+    residual = motors.move_residual(config.residual, state.residual, whole, period)
     time = (state.step + 1) * period
     added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
-    course = motors.ramped_base(robot, state.base_lengths, time) + added
-    swing = motors.next_swing(config.dither, state.swing, course - state.course, period)
+    ramped = motors.ramped_base(robot, state.base_lengths, time)
+    trend = motors.smoothed(config.dither, state.trend, added, period)
+    moved = ramped - motors.ramped_base(robot, state.base_lengths, time - period) + trend - state.trend
+    swing = motors.next_swing(config.dither, state.swing, moved, period)
     after = time - motors.ramp_time(robot, state.base_lengths)
-    desired = course + motors.dither(config.dither, swing, state.base_lengths, after)
+    desired = ramped + added + motors.dither(config.dither, swing, state.base_lengths, after)
     lengths = motors.limit_speed(robot, state.command, motors.limit_lengths(robot, desired), period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
-    return dataclasses.replace(state, residual=residual, course=course, swing=swing, command=lengths, actions=actions)
+    return dataclasses.replace(state, residual=residual, trend=trend, swing=swing, command=lengths, actions=actions)
 
 
 def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:

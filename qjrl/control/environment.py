@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.control import episode
+from qjrl.control.arm_estimate import priors
 from qjrl.control.episode import Bank, EnvironmentConfig, EpisodeState
 from qjrl.control.faults import Faults
 from qjrl.control.motors import action_size
@@ -47,6 +48,7 @@ class ResidualEnvironment:
         self.gives_advice = True
         self._robot, self._bank, self._stepper, self._rows, self._seed = robot, bank, stepper, rows, seed
         self._substeps = max(1, round(config.control_period / stepper.timestep))
+        self._believed = priors(config.estimate, robot, bank.base_lengths)
         self._compiled = _compile(config)
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
         self._home_commands = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
@@ -60,7 +62,7 @@ class ResidualEnvironment:
             jnp.asarray(count if self._rows is None else rows)
         )
         is_first = np.full(self.num_envs, self._rows is None and is_spread)
-        begun = self._compiled.begin(self._robot, self._bank, keys, rows, is_first)
+        begun = self._compiled.begin(self._robot, self._bank, self._believed, keys, rows, is_first)
         self._reset_physics(count, begun.parameters)
         everyone = np.arange(self.num_envs)
         replaced = dataclasses.replace(begun.state, key=jax.random.clone(begun.state.key))  # in every row
@@ -152,7 +154,7 @@ class ResidualEnvironment:
         padded = np.resize(ids, _padded_size(len(ids), self.num_envs))  # repeats ids: few sizes to compile
         rows = np.full(len(padded), -1) if self._rows is None else np.asarray(self._rows)[padded]
         not_first = np.zeros(len(padded), bool)
-        begun = self._compiled.begin(self._robot, self._bank, self._state.key[padded], rows, not_first)
+        begun = self._compiled.begin(self._robot, self._bank, self._believed, self._state.key[padded], rows, not_first)
         self._reset_physics(ids, {name: value[: len(ids)] for name, value in _as_numpy(begun.parameters).items()})
         self._state, first = self._compiled.restart(
             self._robot, self._state, begun.state, _truth(self._stepper.read()), padded
@@ -198,7 +200,7 @@ _BEGINS_WITH = ("episode_steps", "control_period", "latest_arrival", "scored_tim
 
 @cache
 def _compile_begin(config: EnvironmentConfig) -> Callable[..., Any]:
-    return jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0)))
+    return jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, None, 0, 0, 0)))
 
 
 def _restart_some(restart, robot: Robot, states: EpisodeState, fresh: EpisodeState, truth: TrueState, ids: jax.Array):

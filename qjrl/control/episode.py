@@ -15,6 +15,7 @@ from flax import struct
 
 from qjrl.config import Range
 from qjrl.control import controller, motors, termination, tip_correction
+from qjrl.control.arm_estimate import EstimateConfig, Prior
 from qjrl.control.controller import ControllerConfig
 from qjrl.control.faults import Faults, draw_faults, transmit
 from qjrl.control.observations import ControlState, TrueState, critic_observation
@@ -42,6 +43,7 @@ class EnvironmentConfig:
     """Errors are judged over this long at the end of an episode [s]."""
     remembers: bool = True
     """Whether the actor sees means of the encoders' readings; without, the newest reading stands for all of them."""
+    estimate: EstimateConfig = EstimateConfig()
     dither: motors.DitherConfig = motors.DitherConfig()
     integral: tip_correction.IntegralConfig = tip_correction.IntegralConfig()
     residual: motors.ResidualConfig = motors.ResidualConfig()
@@ -65,7 +67,8 @@ class EnvironmentConfig:
     @property
     def controller(self) -> ControllerConfig:
         """What the robot needs of it."""
-        return ControllerConfig(self.control_period, self.remembers, self.dither, self.integral, self.residual)
+        parts = self.estimate, self.dither, self.integral, self.residual
+        return ControllerConfig(self.control_period, self.remembers, *parts)
 
 
 @struct.dataclass
@@ -117,13 +120,20 @@ class StepOutcome:
 
 
 def begin(
-    config: EnvironmentConfig, robot: Robot, bank: Bank, key: jax.Array, row: jax.Array, is_first: jax.Array
+    config: EnvironmentConfig,
+    robot: Robot,
+    bank: Bank,
+    believed: Prior,
+    key: jax.Array,
+    row: jax.Array,
+    is_first: jax.Array,
 ) -> Begun:
     """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
     key_row, key_parameters, key_length, key_next, key_faults = jax.random.split(key, 5)
     row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
     cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
-    control = controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row])
+    believed = jax.tree.map(lambda values: values[row], believed)
+    control = controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row], believed)
     state = EpisodeState(
         control=control,
         faults=draw_faults(config.randomisation, robot, key_faults, control.command),
@@ -192,9 +202,11 @@ def _observation(
 
 
 def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, truth: TrueState) -> jax.Array:
-    """The action whose offset would take the tip to its target, as only the simulation can know; none before it has settled."""
+    """The action that takes the tip to its target, as only the simulation can know; none before the arm has settled."""
     lacking = tip_correction.weighted_difference(truth.pose, control.target)
-    advised = motors.advised_action(config.residual, control.residual, lacking, control.correction)
+    needed = control.residual / config.residual.bound + motors.action_of(config.residual, lacking, control.correction)
+    own = controller.own_action(config.controller, robot, control)
+    advised = jnp.clip(jnp.clip(needed, -1.0, 1.0) - own, -1.0, 1.0)
     return jnp.where(controller.waited(config.controller, robot, control) >= SETTLING, advised, 0.0)
 
 

@@ -35,12 +35,12 @@ class DitherConfig:
     """
 
     amplitude: Annotated[float, Range(low=0.0)] = 0.0005
-    """Largest swing of a cable [m], ours: that after the ramp; 0 switches it off."""
-    growth: Annotated[float, Range(low=0.0)] = 0.5
+    """Largest swing of a cable [m], ours: that after the ramp; 0 switches it off. Motors too slow for it swing less at first."""
+    growth: Annotated[float, Range(low=0.0)] = 2.0
     """What the swings grow by for each metre that the cables are moved otherwise."""
     decay: Annotated[float, Range(above=0.0)] = 0.3
     """Time in which the swings fall to 1/e [s]."""
-    half_period: Annotated[float, Range(above=0.0)] = 0.04
+    half_period: Annotated[float, Range(above=0.0)] = 0.02
     """Time between two reversals [s]."""
 
 
@@ -53,6 +53,14 @@ def ramped_base(robot: Robot, base_lengths: jax.Array, time: jax.Array) -> jax.A
     """Base command (num_cables,) [m] at a time [s] since the start: straight from home, so the bends stay within limits."""
     duration = jnp.maximum(ramp_time(robot, base_lengths), 1e-9)
     return base_lengths * jnp.minimum(time / duration, 1.0)
+
+
+def smoothed(config: DitherConfig, trend: jax.Array, added: jax.Array, period: float) -> jax.Array:
+    """What feedback or a policy adds to the cables (num_cables,) [m], smoothed over the `decay` of the swings.
+
+    An answer to the swings themselves has their short period; it may not feed them, or they never die away.
+    """
+    return trend + (1.0 - math.exp(-period / config.decay)) * (added - trend)
 
 
 def next_swing(config: DitherConfig, swing: jax.Array, moved: jax.Array, period: float) -> jax.Array:
@@ -85,10 +93,9 @@ def residual_lengths(config: ResidualConfig, residual: jax.Array, correction: ja
     return correction @ residual if config.space == "tip" else residual
 
 
-def advised_action(config: ResidualConfig, residual: jax.Array, lacking: jax.Array, correction: jax.Array) -> jax.Array:
-    """Action (action_size,) that moves the residual by what the tip lacks, `tip_correction.weighted_difference` (6,) [m]."""
-    needed = lacking if config.space == "tip" else correction @ lacking
-    return jnp.clip((residual + needed) / config.bound, -1.0, 1.0)
+def action_of(config: ResidualConfig, lacking: jax.Array, correction: jax.Array) -> jax.Array:
+    """Action (action_size,) whose residual makes up for what the tip lacks, `tip_correction.weighted_difference` (6,) [m]."""
+    return (lacking if config.space == "tip" else correction @ lacking) / config.bound
 
 
 def limit_lengths(robot: Robot, desired: jax.Array) -> jax.Array:

@@ -23,12 +23,16 @@ class ControlState:
     """(num_cables,) the base controller's answer [m]."""
     command: jax.Array
     """(num_cables,) what the motors hold now [m]."""
-    course: jax.Array
-    """(num_cables,) what they are wanted to hold, but for the dither [m]."""
+    trend: jax.Array
+    """(num_cables,) what feedback and policy add to the base command, smoothed [m]."""
     swing: jax.Array
     """What the dither swings by [m]."""
     correction: jax.Array
     """(num_cables, 6) cables for each metre that the tip lacks, around the base command."""
+    expected: jax.Array
+    """(segments, 2) deviation from the command with which the arm is believed to rest before it is read [rad]."""
+    covariance: jax.Array
+    """(2 segments, 2 segments) of that, in standard deviations of one reading."""
     integral: jax.Array
     """(num_cables,) what integral feedback adds [m]."""
     residual: jax.Array
@@ -55,7 +59,13 @@ class TrueState:
 
 
 def actor_observation(
-    robot: Robot, state: ControlState, offset: jax.Array, ramp: jax.Array, waited: jax.Array
+    robot: Robot,
+    state: ControlState,
+    estimated: jax.Array,
+    lacking: jax.Array,
+    offset: jax.Array,
+    ramp: jax.Array,
+    waited: jax.Array,
 ) -> jax.Array:
     """Only what the real robot has: sensor memory, last actions, motor command, target, base command, residual, clock.
 
@@ -65,6 +75,8 @@ def actor_observation(
     command is ramped in, lest the way to the target drown what is left at its end.
 
     Args:
+        estimated: (segments, 2) the best guess of that deviation [rad].
+        lacking: (6,) what the tip lacks by it [m].
         offset: (num_cables,) the residual's part of the command [m].
         ramp: how much of the base command is ramped in, 0 to 1.
         waited: time [s] since then.
@@ -72,11 +84,13 @@ def actor_observation(
     held = held_rotation_vectors(robot, state.command)
     deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
     without = held_rotation_vectors(robot, state.command - offset)
-    lacking = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, without + one), state.target))(deviations)
+    read = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, without + one), state.target))(deviations)
     parts = (
         rotation_vectors(bends_from_cables(robot, state.base_lengths)),
         deviations,
-        jnp.where(ramp >= 1.0, lacking, 0.0),
+        estimated,
+        jnp.where(ramp >= 1.0, read, 0.0),
+        lacking,
         state.actions,
         state.command,
         state.target,

@@ -41,7 +41,7 @@ BARE_RATES = "bare_rates.jsonl"
 class PolicyConfig:
     """Group `policy`."""
 
-    base: Base = "dither"
+    base: Base = "estimate"
     """What the residual is added to."""
     engine: Literal["simulation", "minimal"] = "minimal"
     """What the policy trains in: the engine of group `simulation`, or the arm's own equations in minimal coordinates, which

@@ -90,7 +90,7 @@ def make_subject(
 def over_time(subject: Subject, policy: Policy) -> dict[str, np.ndarray]:
     """Controller -> position error (steps, n) [m]: learned IK, rival, the policy's base, the policy; and the "floor"."""
     config = subject.config
-    bases: list[Base] = list(dict.fromkeys(("learned", RIVAL, config.base)))
+    bases: list[Base] = list(dict.fromkeys(("learned", RIVAL, "dither", config.base)))
     traces = {controller_name(base): subject.judge(config.environment, base).position_trace for base in bases}
     name = controller_name(config.base, has_policy=True)
     traces[name] = subject.judge(config.environment, config.base, acting(policy)).position_trace

@@ -60,6 +60,11 @@ def remember(memory: jax.Array, deviation: jax.Array, step: jax.Array, waited: j
     """
     exponential = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
     way = jnp.where(waited <= 0.0, 1.0 / (step + 1.0), 0.0)
-    end = period / (jnp.maximum(waited - SETTLING, 0.0) + period)
+    end = 1.0 / readings_at_the_end(waited, period)
     weights = jnp.concatenate([exponential, jnp.stack([way, end])])
     return memory + weights[:, None, None] * (deviation - memory)
+
+
+def readings_at_the_end(waited: jax.Array, period: float) -> jax.Array:
+    """How many readings the last of the memory's means holds, a time [s] after the base command is ramped in; at least 1."""
+    return jnp.maximum(waited - SETTLING, 0.0) / period + 1.0

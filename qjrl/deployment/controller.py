@@ -17,10 +17,14 @@ _FIXED = {
     "target": ("m, -", "pose to reach; order: pose_names"),
     "base_lengths": ("m", "the base controller's answer to the target, relative to home; order: cables"),
     "correction": ("-", "cable lengths for each metre that the tip lacks, around the base command"),
+    "expected": ("rad", "deviation from the command with which the arm is believed to rest before it is read"),
+    "covariance": ("-", "of that, in standard deviations of one reading"),
 }
+# What of it is computed at the beginning.
+_ANSWERED = ("correction", "expected", "covariance")
 _CARRIED = {
     "command": ("m", "cable lengths that the motors hold, relative to home; order: cables"),
-    "course": ("m", "what they are wanted to hold, but for the dither"),
+    "trend": ("m", "what feedback and policy add to the base command, smoothed"),
     "swing": ("m", "what the dither swings by"),
     "integral": ("m", "what integral feedback adds"),
     "residual": ("m", f"what the policy adds; {_ACTION}"),
@@ -71,7 +75,7 @@ def deployed_controller(
 
     def begins(target: jax.Array, base_lengths: jax.Array, reading: jax.Array) -> Outputs:
         state = begin(target, base_lengths, reading)
-        return {name: state[name] for name in ("correction", *_CARRIED)}
+        return {name: state[name] for name in (*_ANSWERED, *_CARRIED)}
 
     def steps(*arrays: jax.Array) -> Outputs:
         state = dict(zip(ports, arrays, strict=True))
@@ -82,9 +86,7 @@ def deployed_controller(
     following = [dataclasses.replace(ports[name], name=NEXT + name) for name in _CARRIED]
     angles = Port("motor_angles", (robot.num_cables,), "rad", "next_command over the pulley radius; order: motors")
     return DeployedController(
-        DeployedFunction(
-            "begin_target", begins, tuple(first), tuple(ports[name] for name in ("correction", *_CARRIED))
-        ),
+        DeployedFunction("begin_target", begins, tuple(first), tuple(ports[name] for name in (*_ANSWERED, *_CARRIED))),
         DeployedFunction("control_step", steps, tuple(ports.values()), (*following, angles)),
     )
 
@@ -101,7 +103,7 @@ def _port(name: str, shape: jax.ShapeDtypeStruct, precision: Precision) -> Port:
 
 PROTOCOL = {
     "target": "at home, once a target: begin_target; base_lengths is any inverse kinematics' answer, say inverse_kinematics'",
-    "period": "every control period: control_step with target, base_lengths, correction, the carried arrays and the newest "
+    "period": "every control period: control_step with all that begin_target gave and took, the carried arrays and the newest "
     "reading (the first reading twice: begin_target, then control_step); motors get motor_angles, next_X is X of the next period",
     "limits": "next_command keeps to the largest motor speed and to the strokes of the cables",
     "faults": "when a reading is stale or not finite, or an answer not finite: hold the last command, keep the state, go on "

@@ -2,9 +2,10 @@
 
 import jax
 
-from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf
+from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf, statics
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.quaternion_arm.statics import Equilibrium
 
 Robot = QuaternionArm  # a union once there is a second kind
 
@@ -16,6 +17,7 @@ VERBS = {
         "cable_strokes": cables.cable_strokes,
         "strand_lengths": cables.strand_lengths,
         "strand_commands": cables.strand_commands,
+        "equilibrium": statics.equilibrium,
         "joint_positions": coordinates.joint_positions,
         "configuration_from_joint_positions": coordinates.bends_from_joint_positions,
         "build_mjcf": mjcf.build_mjcf,
@@ -57,6 +59,11 @@ def strand_lengths(robot: Robot, configuration: jax.Array) -> jax.Array:
 def strand_commands(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Rest lengths (num_strands,) [m] that the motors give the strands: the controls of the MJCF."""
     return _verb(robot, "strand_commands")(robot, lengths)
+
+
+def equilibrium(robot: Robot, lengths: jax.Array) -> Equilibrium:
+    """Where a robot as described rests when it holds cable lengths (num_cables,) [m], and what would move it from there."""
+    return _verb(robot, "equilibrium")(robot, lengths)
 
 
 def joint_positions(robot: Robot, configuration: jax.Array) -> jax.Array:

@@ -37,7 +37,8 @@ def test_every_ablation_is_shortened_and_changes_what_its_name_says():
         "no imitation, random start": {"ppo.imitation.rounds", "ppo.starts_at_zero", *usual},
         "20 mm a step": {f"{residual}.bound", f"{residual}.rate", f"{residual}.lag"},
         "no sensor memory": {"environment.remembers"},
-        "noise a fifth": {f"{randomised}.encoder_noise_deg"},
+        "no prior": {f"environment.estimate.{name}" for name in ("gain", "tilt_deg", "friction")},
+        "noise a fifth": {f"{randomised}.encoder_noise_deg", "environment.estimate.encoder_noise_deg"},
         "no randomisation": {
             f"{randomised}.{name}"
             for name in ("strand_damping_scale", "strand_friction", "armature_scale", "gain_scale", "largest_tilt_deg")

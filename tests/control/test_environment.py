@@ -159,8 +159,10 @@ def test_the_actors_memory_of_its_actions_is_newest_first(judged):
     judged.reset()
     actions = random_actions(5)
     transition = [judged.step(action) for action in actions][-1]
-    sizes = ARM.num_cables  # base bends, deviations now and remembered, and what the tip lacks come first
-    start = 2 * ARM.num_segments * (1 + 1 + MEMORY_SIZE) + 6 * (1 + MEMORY_SIZE)
+    sizes = (
+        ARM.num_cables
+    )  # base bends, deviations now and remembered, and what the tip lacks come first, also by the estimate
+    start = 2 * ARM.num_segments * (1 + 1 + MEMORY_SIZE + 1) + 6 * (1 + MEMORY_SIZE + 1)
     seen = transition.observation[ACTOR_KEY][:, start : start + ACTION_HISTORY * sizes]
     expected = np.concatenate([actions[-1], actions[-2], actions[-3], actions[-4]], axis=1)
     np.testing.assert_array_equal(seen, expected)

@@ -170,7 +170,7 @@ def compared():
 
 def test_all_controllers_are_compared_on_both_sets_and_the_same_rows(compared):
     names = [controller_name(base) for base in BASES] + ["learned_ik+residual"]
-    assert len(set(names)) == 6 and set(compared) == {
+    assert len(set(names)) == 7 and set(compared) == {
         (target_set, name) for target_set in TARGET_SETS for name in names
     }
     assert {len(judgement.position_error) for judgement, _ in compared.values()} == {3}

@@ -119,9 +119,23 @@ def test_the_swings_die_away_and_grow_by_what_moves_the_cables():
     assert float(motors.next_swing(config, jnp.array(4e-4), jnp.array([0.0, 0.0006, 0.0]), PERIOD)) == 0.0005
 
 
-def test_the_default_dither_is_within_the_motors_speed():
+def test_an_answer_that_follows_the_swings_hardly_feeds_them():
+    """A step of what is added is smoothed to all of itself in the end; one that alternates, to next to nothing."""
+    config, shares = motors.DitherConfig(decay=0.3), []
+    for added in (np.full(100, 1e-3), 1e-3 * (-1.0) ** np.arange(100)):
+        trend, ways = jnp.zeros(1), []
+        for value in added:
+            following = motors.smoothed(config, trend, jnp.array([value]), PERIOD)
+            ways.append(abs(float(following[0] - trend[0])))
+            trend = following
+        shares.append(sum(ways) / np.abs(np.diff(added, prepend=0.0)).sum())
+    assert shares[0] == pytest.approx(1.0, abs=2e-3) and shares[1] < 0.07
+
+
+def test_the_default_dither_is_soon_within_the_motors_speed():
+    """Until then it is shortened: by a fifth of a second, the motors follow the swings."""
     arm, config = arm_named("qj_2222"), motors.DitherConfig()
-    swing = config.amplitude * (1.0 + np.exp(-config.half_period / config.decay))
+    swing = config.amplitude * np.exp(-0.2 / config.decay) * (1.0 + np.exp(-config.half_period / config.decay))
     assert swing <= arm.motor_speed * config.half_period
 
 
@@ -135,12 +149,11 @@ def test_a_lagging_residual_closes_the_gap_exponentially():
     np.testing.assert_allclose(path[1:], wanted + (np.array([0.0, 0.001]) - wanted) * passed, atol=1e-15)
 
 
-def test_the_advised_action_takes_the_residual_to_where_nothing_lacks():
+def test_an_action_for_what_lacks_takes_the_residual_to_where_nothing_lacks():
     config = motors.ResidualConfig(lag=0.0, bound=0.002, rate=1.0)
     residual, lacking = jnp.array([5e-4, 0, 0, 0, 0, 0]), jnp.array([3e-4, -1e-4, 0, 0, 1e-5, 0])
-    action = motors.advised_action(config, residual, lacking, jnp.zeros((8, 6)))
+    action = residual / config.bound + motors.action_of(config, lacking, jnp.zeros((8, 6)))
     np.testing.assert_allclose(motors.move_residual(config, residual, action, PERIOD), residual + lacking, atol=1e-15)
-    assert float(motors.advised_action(config, residual, 100 * lacking, jnp.zeros((8, 6))).max()) == 1.0
 
 
 def test_a_command_within_reach_is_reached_in_one_period():

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from arms import arm_named, over_rows, random_bends
 
+from qjrl.control.arm_estimate import EstimateConfig
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.motors import DitherConfig, ResidualConfig
@@ -19,6 +20,7 @@ CONFIG = EnvironmentConfig(
     episode_steps=24,
     latest_arrival=0.4,
     scored_time=0.06,
+    estimate=EstimateConfig(acts=False),
     dither=DitherConfig(amplitude=0.0),
     integral=IntegralConfig(gain=0.0),
     residual=ResidualConfig(space="cables", bound=0.003, rate=0.01, lag=0.0),

@@ -1,0 +1,84 @@
+"""Where this arm rests, by its encoders and by what arms of its make do: the best linear estimate from a mean of readings.
+
+Before anything is read, an arm is believed to rest where its description says, give or take the servos' gain, the lean
+of the base and what friction the dither leaves. These move eight numbers of the readings in few directions, so that a
+short mean says more about the tip than the encoders' noise alone would let it: all else in the mean is noise.
+"""
+
+import dataclasses
+import math
+from functools import partial
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from qjrl.config import Range
+from qjrl.control.sensors import rotation_vectors
+from qjrl.geometry import cholesky
+from qjrl.robot import bends_from_cables, equilibrium
+from qjrl.robot.verbs import Robot
+from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
+
+
+@dataclasses.dataclass(frozen=True)
+class EstimateConfig:
+    """Standard deviations of what is not known of an arm; ours."""
+
+    gain: Annotated[float, Range(above=0.0)] = 0.13
+    """Of the logarithm of the servos' gain; 0.13 is that of gains between 0.8 and 1.25."""
+    tilt_deg: Annotated[float, Range(above=0.0)] = 2.5
+    """Of the base's lean about x and about y [deg]; 2.5 is that of leans up to 5 in any direction."""
+    friction: Annotated[float, Range(above=0.0)] = 0.2
+    """Of the friction that dither leaves in a strand [N]."""
+    encoder_noise_deg: Annotated[float, Range(above=0.0)] = 0.25
+    """Of one reading of a joint's encoders [deg]."""
+    acts: bool = True
+    """Whether the controller makes up for what the tip lacks by the estimate, a policy's action being added to that."""
+
+
+@struct.dataclass
+class Prior:
+    """What is believed of an arm before it is read."""
+
+    expected: Any
+    """(segments, 2) how far from where a perfect arm would be it rests, as in `sensors.remember` [rad]."""
+    covariance: Any
+    """(2 segments, 2 segments) of that, in standard deviations of one reading."""
+
+
+def prior(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prior:
+    """Of an arm that shall hold cable lengths (num_cables,) [m]."""
+    rest = equilibrium(robot, base_lengths)
+    unknown = (
+        config.gain * rest.by_gain[..., None],
+        math.radians(config.tilt_deg) * rest.by_tilt,
+        config.friction * rest.by_pull,
+    )
+    turned = jax.jacfwd(rotation_vectors)(rest.bends).reshape(2 * robot.num_segments, -1)
+    causes = turned @ jnp.concatenate(unknown, axis=-1).reshape(2 * robot.num_segments, -1)
+    causes = causes / _noise(config, robot).reshape(-1, 1).astype(causes.dtype)
+    expected = rotation_vectors(rest.bends) - rotation_vectors(bends_from_cables(robot, base_lengths))
+    return Prior(expected.astype(base_lengths.dtype), (causes @ causes.T).astype(base_lengths.dtype))
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=CPU_COMPILER_OPTIONS if jax.default_backend() == "cpu" else {})
+def priors(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prior:
+    """Of as many arms as there are rows of `base_lengths` (n, num_cables) [m]."""
+    return jax.vmap(lambda lengths: prior(config, robot, lengths))(base_lengths)
+
+
+def estimate(config: EstimateConfig, robot: Robot, believed: Prior, mean: jax.Array, count: jax.Array) -> jax.Array:
+    """(segments, 2) [rad] from the mean (segments, 2) of `count` readings: Wiener's filter."""
+    noise = _noise(config, robot).astype(mean.dtype)
+    surprise = ((mean - believed.expected) / noise).reshape(-1)
+    total = believed.covariance + jnp.eye(len(surprise), dtype=mean.dtype) / count
+    found = believed.covariance @ cholesky.solve(cholesky.factor(total), surprise)
+    return believed.expected + noise * found.reshape(mean.shape)
+
+
+def _noise(config: EstimateConfig, robot: Robot) -> jax.Array:
+    """(segments, 2) [rad] of a segment's reading, the mean over its joints."""
+    joints = jnp.array(robot.joints_per_segment, float)[:, None]
+    return math.radians(config.encoder_noise_deg) / jnp.sqrt(jnp.tile(joints, 2))

@@ -1,0 +1,108 @@
+"""Where an arm rests when its motors hold, gravity and springs included, and what would move it from there.
+
+Its half angles are those of least energy: of gravity, hinges and strands. From where a perfect arm would be, steps
+against the stiffness of springs and strands alone lead there; the slopes take all of it.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qjrl.geometry import cholesky
+from qjrl.robot.quaternion_arm.cables import bends_from_cables, strand_commands, strand_lengths
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
+from qjrl.robot.quaternion_arm.joint import half_direction, joint_height, joint_transform
+
+STEPS = 12
+# Of one half angle in one step [rad].
+_LARGEST_STEP = 0.2
+
+
+@struct.dataclass
+class Equilibrium:
+    """Bends at rest, and their slopes."""
+
+    bends: Any
+    """(segments, 2)."""
+    by_gain: Any
+    """(segments, 2) for each unit of the logarithm of the strands' stiffness."""
+    by_tilt: Any
+    """(segments, 2, 2) for each radian by which the base leans about x and y."""
+    by_pull: Any
+    """(segments, 2, strands) for each newton with which a strand pulls besides, as friction does."""
+
+
+def equilibrium(arm: QuaternionArm, lengths: jax.Array) -> Equilibrium:
+    """Of an arm as described, holding cable lengths (num_cables,) [m]. Where no pose is stable it is not a number."""
+    commands = strand_commands(arm, lengths)
+
+    def torque(angles: jax.Array, causes: jax.Array) -> jax.Array:
+        return -jax.grad(_energy, 2)(arm, commands, angles, causes)
+
+    def slope(angles: jax.Array) -> jax.Array:
+        return jax.jacfwd(lambda angles: strand_lengths(arm, _bends(angles)))(angles)
+
+    def improve(_, angles: jax.Array) -> jax.Array:
+        along = slope(angles)
+        change = _solve(stiffness + arm.strand_stiffness * along.T @ along, torque(angles, nothing))
+        return angles + jnp.clip(change, -_LARGEST_STEP, _LARGEST_STEP)
+
+    stiffness, nothing = jnp.diag(jnp.asarray(hinge_stiffness(arm), lengths.dtype)), jnp.zeros(3, lengths.dtype)
+    angles = jax.lax.fori_loop(0, STEPS, improve, _half_angles(bends_from_cables(arm, lengths)).reshape(-1))
+    by_angle, by_cause = jax.jacfwd(torque, (0, 1))(angles, nothing)
+    moved = _solve(-by_angle, jnp.concatenate([by_cause, -slope(angles).T], axis=1))
+    slopes = jax.jacfwd(_bends)(angles) @ moved
+    return Equilibrium(_bends(angles), slopes[..., 0], slopes[..., 1:3], slopes[..., 3:])
+
+
+def _energy(arm: QuaternionArm, commands: jax.Array, angles: jax.Array, causes: jax.Array) -> jax.Array:
+    """[J] at half angles (2 segments,) [rad]; causes: logarithm of the gain, tilt about x and about y [rad]."""
+    mechanics, strength = arm.config.mechanics, arm.config.strands.strength
+    down = jnp.array(mechanics.gravity, angles.dtype)
+    down = down + jnp.cross(jnp.concatenate([causes[1:], jnp.zeros(1, angles.dtype)]), down)
+    gain = jnp.exp(causes[0]) * arm.strand_stiffness
+    stretch = jnp.maximum(strand_lengths(arm, _bends(angles)) - commands, 0.0)
+    spring = jnp.minimum(stretch, strength / gain)  # beyond it the servo pulls with all its strength
+    strands = jnp.sum(gain * (0.5 * spring**2 + spring * (stretch - spring)))
+    hinges = 0.5 * jnp.sum(jnp.asarray(hinge_stiffness(arm), angles.dtype) * angles**2)
+    return strands + hinges - down @ _first_moment(arm, _bends(angles))
+
+
+def _first_moment(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
+    """(3,) sum of all masses times where they are [kg m], payload included; chords and links as in `mjcf`."""
+    mechanics = arm.config.mechanics
+    offsets, rotations = jax.vmap(lambda bend: joint_transform(arm, bend))(bends)
+    home_height = joint_height(arm, jnp.zeros(2, bends.dtype))
+    chords = jax.vmap(half_direction)(bends) * (0.5 * home_height)
+
+    def cross_joint(carry, segment):
+        position, rotation, moment = carry
+        chord, plate = position + rotation @ chords[segment], position + rotation @ offsets[segment]
+        turned = rotation @ rotations[segment]
+        end = plate + turned[:, 2] * arm.link_length
+        moment = moment + mechanics.joint_mass * chord + mechanics.link_mass * 0.5 * (plate + end)
+        return (end, turned, moment), None
+
+    base = (jnp.zeros(3, bends.dtype), jnp.eye(3, dtype=bends.dtype), jnp.zeros(3, bends.dtype))
+    joints = np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)
+    (tip, _, moment), _ = jax.lax.scan(cross_joint, base, joints)
+    return moment + mechanics.payload * tip
+
+
+def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
+    """x with matrix x = right, the matrix symmetric and positive definite, as the stiffness of a stable pose is."""
+    return cholesky.solve(cholesky.factor(matrix), right)
+
+
+def _half_angles(bends: jax.Array) -> jax.Array:
+    y = jnp.arcsin(bends[:, 0])
+    return jnp.stack([-jnp.arcsin(bends[:, 1] / jnp.cos(y)), y], axis=1)
+
+
+def _bends(angles: jax.Array) -> jax.Array:
+    x, y = angles.reshape(-1, 2).T
+    return jnp.stack([jnp.sin(y), -jnp.sin(x) * jnp.cos(y)], axis=1)
