@@ -21,6 +21,9 @@ from qjrl.robot import bends_from_cables, equilibrium
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
 
+# Variance of what nothing is believed of, in those of one reading.
+_VAGUE = 1e6
+
 
 @dataclasses.dataclass(frozen=True)
 class EstimateConfig:
@@ -49,7 +52,7 @@ class Prior:
 
 
 def prior(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prior:
-    """Of an arm that shall hold cable lengths (num_cables,) [m]."""
+    """Of an arm that shall hold cable lengths (num_cables,) [m]; where no pose is stable, next to nothing."""
     rest = equilibrium(robot, base_lengths)
     unknown = (
         config.gain * rest.by_gain[..., None],
@@ -60,7 +63,12 @@ def prior(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prio
     causes = turned @ jnp.concatenate(unknown, axis=-1).reshape(2 * robot.num_segments, -1)
     causes = causes / _noise(config, robot).reshape(-1, 1).astype(causes.dtype)
     expected = rotation_vectors(rest.bends) - rotation_vectors(bends_from_cables(robot, base_lengths))
-    return Prior(expected.astype(base_lengths.dtype), (causes @ causes.T).astype(base_lengths.dtype))
+    covariance, dtype = causes @ causes.T, base_lengths.dtype
+    is_stable = jnp.all(jnp.isfinite(expected)) & jnp.all(jnp.isfinite(covariance))
+    vague = _VAGUE * jnp.eye(len(covariance))
+    return Prior(
+        jnp.where(is_stable, expected, 0.0).astype(dtype), jnp.where(is_stable, covariance, vague).astype(dtype)
+    )
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=CPU_COMPILER_OPTIONS if jax.default_backend() == "cpu" else {})

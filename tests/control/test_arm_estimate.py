@@ -23,8 +23,8 @@ BELIEVED = jax.jit(arm_estimate.prior, static_argnums=0)(CONFIG, ARM, LENGTHS)
 NOISE = math.radians(CONFIG.encoder_noise_deg) / np.sqrt(2.0)  # two joints a segment
 
 
-def estimated(mean, count, config=CONFIG, believed=BELIEVED):
-    return np.asarray(arm_estimate.estimate(config, ARM, believed, jnp.asarray(mean), jnp.asarray(float(count))))
+def estimated(mean, count, believed=BELIEVED):
+    return np.asarray(arm_estimate.estimate(CONFIG, ARM, believed, jnp.asarray(mean), jnp.asarray(float(count))))
 
 
 def test_what_is_expected_is_believed():
@@ -39,7 +39,13 @@ def test_countless_readings_are_believed_over_the_prior():
 def test_knowing_next_to_nothing_leaves_the_mean():
     mean = np.array([[0.01, -0.02], [0.0, 0.03]])
     vague = Prior(BELIEVED.expected, 1e10 * BELIEVED.covariance)
-    np.testing.assert_allclose(estimated(mean, 3, believed=vague), mean, atol=1e-5)
+    np.testing.assert_allclose(estimated(mean, 3, vague), mean, atol=1e-5)
+
+
+def test_where_nothing_can_be_believed_the_mean_is_taken():
+    mean = np.array([[0.01, -0.02], [0.0, 0.03]])
+    nowhere = arm_estimate.priors(CONFIG, ARM, jnp.full((2, ARM.num_cables), jnp.nan))
+    np.testing.assert_allclose(estimated(mean, 3, jax.tree.map(lambda rows: rows[0], nowhere)), mean, rtol=1e-5)
 
 
 def test_it_is_the_mean_of_the_posterior():

@@ -30,8 +30,9 @@ from qjrl.stages import accuracy, open_loop
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {
-    "nominal", "learned_ik", "learned_ik+integral", "learned_ik+dither", "learned_ik+dither+integral",
-    "learned_ik+dither+residual",
+    "nominal", "learned_ik", "learned_ik+integral", "learned_ik+dither",
+    "learned_ik+dither+estimate", "learned_ik+dither+integral",
+    "learned_ik+dither+estimate+residual",
 }  # fmt: skip
 CONFIGS = {
     "simulation": SettleConfig(batch_size=32),
