@@ -19,7 +19,6 @@ from qjrl.control.sensors import rotation_vectors
 from qjrl.geometry import cholesky
 from qjrl.robot import bends_from_cables, equilibrium
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
 
 # Variance of what nothing is believed of, in those of one reading.
 _VAGUE = 1e6
@@ -71,7 +70,7 @@ def prior(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prio
     )
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=CPU_COMPILER_OPTIONS if jax.default_backend() == "cpu" else {})
+@partial(jax.jit, static_argnums=0)
 def priors(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prior:
     """Of as many arms as there are rows of `base_lengths` (n, num_cables) [m]."""
     return jax.vmap(lambda lengths: prior(config, robot, lengths))(base_lengths)

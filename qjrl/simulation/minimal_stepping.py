@@ -1,4 +1,4 @@
-"""Step many arms in time in minimal coordinates, in JAX and float32: the contract of `MujocoStepper`, at a tenth of its cost.
+"""Step many arms in time in minimal coordinates, in JAX and float32: the contract of `MujocoStepper`, at a fraction of its cost.
 
 What MuJoCo ties together with equality rows is one coordinate here, so that eight numbers move where MuJoCo moves forty.
 Both come to rest at the same place; on the way they differ as two integrators do.

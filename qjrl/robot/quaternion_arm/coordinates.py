@@ -18,18 +18,27 @@ def joint_positions(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Fl
 
 def bends_from_joint_positions(arm: QuaternionArm, positions: Float[Array, "nq"]) -> Float[Array, "segments 2"]:
     """Bends of the segments: the mean over the joints of each, of the direction of their chord."""
-    hinges = positions.reshape(arm.num_joints, -1)
-    x, y = hinges[:, 0], hinges[:, 1]
-    bends = jnp.stack([jnp.sin(y), -jnp.sin(x) * jnp.cos(y)], axis=1)  # (num_joints, 2)
+    bends = bends_from_half_angles(positions.reshape(arm.num_joints, -1)[:, :2])  # (num_joints, 2)
     owner = jnp.repeat(
         jnp.arange(arm.num_segments), jnp.array(arm.joints_per_segment), total_repeat_length=arm.num_joints
     )
     return jax.ops.segment_sum(bends, owner, arm.num_segments) / jnp.array(arm.joints_per_segment)[:, None]
 
 
-def _one_joint(arm: QuaternionArm, bend: Float[Array, "2"]) -> Float[Array, "coordinates"]:
-    """Half angles x, y with Rx(x) Ry(y) e_z = n, the slide, and the mirrored halves."""
+def half_angles(bend: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Half angles x, y [rad] with Rx(x) Ry(y) e_z = n, the half-way direction of a bend."""
     n = half_direction(bend)
-    x, y = -jnp.arctan2(n[1], n[2]), jnp.arcsin(n[0])
+    return jnp.stack([-jnp.arctan2(n[1], n[2]), jnp.arcsin(n[0])])
+
+
+def bends_from_half_angles(angles: Float[Array, "*n 2"]) -> Float[Array, "*n 2"]:
+    """Inverse of `half_angles`."""
+    x, y = angles[..., 0], angles[..., 1]
+    return jnp.stack([jnp.sin(y), -jnp.sin(x) * jnp.cos(y)], axis=-1)
+
+
+def _one_joint(arm: QuaternionArm, bend: Float[Array, "2"]) -> Float[Array, "coordinates"]:
+    """Half angles, the slide, and the mirrored halves."""
+    x, y = half_angles(bend)
     slide = joint_height(arm, bend) - joint_height(arm, jnp.zeros(2))
     return jnp.stack([x, y, slide, y, x] if arm.joint_model == "rolling" else [x, y, y, x])

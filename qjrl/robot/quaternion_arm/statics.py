@@ -13,9 +13,11 @@ from flax import struct
 
 from qjrl.geometry import cholesky
 from qjrl.robot.quaternion_arm.cables import bends_from_cables, strand_commands, strand_lengths
+from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles, half_angles
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
-from qjrl.robot.quaternion_arm.joint import half_direction, joint_height, joint_transform
+from qjrl.robot.quaternion_arm.joint import joint_height
+from qjrl.robot.quaternion_arm.kinematics import frames
 
 STEPS = 12
 # Of one half angle in one step [rad].
@@ -52,7 +54,8 @@ def equilibrium(arm: QuaternionArm, lengths: jax.Array) -> Equilibrium:
         return angles + jnp.clip(change, -_LARGEST_STEP, _LARGEST_STEP)
 
     stiffness, nothing = jnp.diag(jnp.asarray(hinge_stiffness(arm), lengths.dtype)), jnp.zeros(3, lengths.dtype)
-    angles = jax.lax.fori_loop(0, STEPS, improve, _half_angles(bends_from_cables(arm, lengths)).reshape(-1))
+    first = jax.vmap(half_angles)(bends_from_cables(arm, lengths))
+    angles = jax.lax.fori_loop(0, STEPS, improve, first.reshape(-1))
     by_angle, by_cause = jax.jacfwd(torque, (0, 1))(angles, nothing)
     moved = _solve(-by_angle, jnp.concatenate([by_cause, -slope(angles).T], axis=1))
     slopes = jax.jacfwd(_bends)(angles) @ moved
@@ -74,23 +77,14 @@ def _energy(arm: QuaternionArm, commands: jax.Array, angles: jax.Array, causes: 
 
 def _first_moment(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
     """(3,) sum of all masses times where they are [kg m], payload included; chords and links as in `mjcf`."""
-    mechanics = arm.config.mechanics
-    offsets, rotations = jax.vmap(lambda bend: joint_transform(arm, bend))(bends)
-    home_height = joint_height(arm, jnp.zeros(2, bends.dtype))
-    chords = jax.vmap(half_direction)(bends) * (0.5 * home_height)
-
-    def cross_joint(carry, segment):
-        position, rotation, moment = carry
-        chord, plate = position + rotation @ chords[segment], position + rotation @ offsets[segment]
-        turned = rotation @ rotations[segment]
-        end = plate + turned[:, 2] * arm.link_length
-        moment = moment + mechanics.joint_mass * chord + mechanics.link_mass * 0.5 * (plate + end)
-        return (end, turned, moment), None
-
-    base = (jnp.zeros(3, bends.dtype), jnp.eye(3, dtype=bends.dtype), jnp.zeros(3, bends.dtype))
-    joints = np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)
-    (tip, _, moment), _ = jax.lax.scan(cross_joint, base, joints)
-    return moment + mechanics.payload * tip
+    mechanics, joints = arm.config.mechanics, np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)
+    plates, ends = frames(arm, bends)[:, :3].reshape(arm.num_joints, 2, 3).swapaxes(0, 1)
+    starts = jnp.concatenate([jnp.zeros((1, 3), bends.dtype), ends[:-1]])
+    heights = jax.vmap(lambda bend: joint_height(arm, bend))(bends)[joints]
+    along = 0.5 * joint_height(arm, jnp.zeros(2, bends.dtype)) / heights  # a chord's mass stays half a home height up
+    chords, links = starts + along[:, None] * (plates - starts), 0.5 * (plates + ends)
+    masses = mechanics.joint_mass * chords + mechanics.link_mass * links
+    return jnp.sum(masses, axis=0) + mechanics.payload * ends[-1]
 
 
 def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
@@ -98,11 +92,5 @@ def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:
     return cholesky.solve(cholesky.factor(matrix), right)
 
 
-def _half_angles(bends: jax.Array) -> jax.Array:
-    y = jnp.arcsin(bends[:, 0])
-    return jnp.stack([-jnp.arcsin(bends[:, 1] / jnp.cos(y)), y], axis=1)
-
-
 def _bends(angles: jax.Array) -> jax.Array:
-    x, y = angles.reshape(-1, 2).T
-    return jnp.stack([jnp.sin(y), -jnp.sin(x) * jnp.cos(y)], axis=1)
+    return bends_from_half_angles(angles.reshape(-1, 2))
