@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qjrl.config import ConfigError
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.motors import ramp_time
@@ -47,6 +48,26 @@ def rows_in_time(
     """Target set -> its rows in a target bank at which the base commands of all `columns` arrive in time."""
     in_time = np.all([arrives_in_time(robot, config, targets[name]) for name in columns], axis=0)
     return {name: np.flatnonzero((targets["target_set"] == i) & in_time) for i, name in enumerate(TARGET_SETS)}
+
+
+def first_in_time(
+    robot: Robot,
+    config: EnvironmentConfig,
+    targets: Mapping[str, np.ndarray],
+    columns: Iterable[str],
+    count: int,
+    setting: str,
+) -> np.ndarray:
+    """The first `count` of the `rows_in_time` of each target set.
+
+    Raises:
+        ConfigError: there are fewer; `setting` is the name of `count`.
+    """
+    rows = rows_in_time(robot, config, targets, columns)
+    for name, found in rows.items():
+        if len(found) < count:
+            raise ConfigError(f"{setting}: got {count}, allowed: at most {len(found)} ({name})")
+    return np.concatenate([found[:count] for found in rows.values()])
 
 
 def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import ConfigError, Range, as_mapping
+from qjrl.config import Range, as_mapping
 from qjrl.control.ablations import ABLATIONS, ablations
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Act, Judge, Judgement, rows_in_time
+from qjrl.control.judging import Act, Judge, Judgement, first_in_time
 from qjrl.control.motors import ramp_time
 from qjrl.control.noise_floor import encoder_floor
 from qjrl.control.parameter_effects import one_at_a_time
@@ -78,11 +78,7 @@ def make_subject(
         ConfigError: there are fewer.
     """
     columns = {command_column(base) for base in (config.base, RIVAL)}
-    rows = rows_in_time(robot, config.environment, held_out, columns)
-    for name, found in rows.items():
-        if len(found) < num_targets:
-            raise ConfigError(f"residual.num_targets: got {num_targets}, allowed: at most {len(found)} ({name})")
-    chosen = np.concatenate([found[:num_targets] for found in rows.values()])
+    chosen = first_in_time(robot, config.environment, held_out, columns, num_targets, "residual.num_targets")
     targets = {name: held_out[name][chosen] for name in ("target", "target_set", *columns)}
     return Subject(robot, simulation, config, targets, seed)
 

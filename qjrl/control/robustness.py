@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.control.bases import Base
+from qjrl.control.bases import Base, command_column
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Judgement
+from qjrl.control.judging import Judgement, first_in_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import Interval, RandomisationConfig
 from qjrl.learning.ppo.policy import Policy
@@ -24,6 +24,8 @@ UNDISTURBED = "as trained"
 class RobustnessConfig:
     """Group `robustness`: how large the disturbances are, and who meets them. All but one thing is drawn as in training."""
 
+    num_targets: Annotated[int, Range(1, 100_000)] = 150
+    """Held-out targets of each set."""
     bases: tuple[Base, ...] = ("learned", "integral", "dither_integral")
     """Controllers beside the policy and its own base."""
     engine: Literal["simulation", "minimal"] = "simulation"
@@ -75,8 +77,16 @@ def judge_disturbed(
     """Disturbance -> (target set, controller) -> judgement and targets left out, as `compare_controllers` gives it.
 
     The seed being the same, arm i is the same arm in every disturbance but for the disturbance itself.
+
+    Raises:
+        ConfigError: `targets` has too few that every controller reaches in time.
     """
     bases = tuple(dict.fromkeys((*config.bases, policy_config.base)))
+    columns = {command_column(base) for base in bases}
+    rows = first_in_time(
+        robot, policy_config.environment, targets, columns, config.num_targets, "robustness.num_targets"
+    )
+    targets = {name: targets[name][rows] for name in ("target", "target_set", *columns)}
     return {
         name: compare_controllers(
             robot,

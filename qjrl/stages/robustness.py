@@ -36,7 +36,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot, settings = robot_from_mapping(config.robot), config.robustness
     targets = artifacts.load(inputs["ik"] / "held_out.npz")
     policy = load_policy(inputs["policy"] / "policy")
-    rows = len(disturbances(settings, config.policy.environment)) * len(targets["target"])
+    rows = len(disturbances(settings, config.policy.environment)) * len(TARGET_SETS) * settings.num_targets
     controllers = 1 + len({*settings.bases, config.policy.base})
     with progress.track(controllers * rows * config.policy.environment.episode_steps, "disturbing") as advance:
         judged = judge_disturbed(

@@ -6,7 +6,7 @@ from arms import arm_named, over_rows, random_bends
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
-from qjrl.control.bases import bank_of, environment_of
+from qjrl.control.bases import bank_of, controller_name, environment_of
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
@@ -44,7 +44,7 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     save_policy(tmp_path / "policy" / "policy", policy)
     out = tmp_path / "out"
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    settings = RobustnessConfig(bases=("learned",), engine="minimal")
+    settings = RobustnessConfig(num_targets=COUNT // 2, bases=("learned",), engine="minimal")
     inputs = {"ik": tmp_path / "ik", "policy": tmp_path / "policy"}
     stage.run(stage.Config(robot, SettleConfig(), POLICY, settings, 0), inputs, out)
     metrics = artifacts.load(out / "metrics.json")
@@ -53,7 +53,7 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     for disturbance in metrics["disturbances"]:
         base, idle_policy, plain = (
             columns[f"{disturbance}/uniform/{name}/position_error"]
-            for name in ("learned_ik+dither", "learned_ik+dither+residual", "learned_ik")
+            for name in (controller_name(POLICY.base), controller_name(POLICY.base, has_policy=True), "learned_ik")
         )
         np.testing.assert_array_equal(base, idle_policy)
         undisturbed = columns[f"{UNDISTURBED}/uniform/learned_ik/position_error"]
