@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import jax.numpy as jnp
@@ -31,6 +32,15 @@ def reward_of(position, orientation, action=(0.0, 0.0), has_arrived=True):
 )
 def test_reward_by_hand_numbers(arguments, expected):
     assert reward_of(*arguments) == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation", "bonus"), [(0.004, 0.01, 2.0), (0.006, 0.01, 0.0), (0.004, 0.03, 0.0)]
+)
+def test_a_success_is_near_in_both(position, orientation, bonus):
+    success = dataclasses.replace(CONFIG, bonus=2.0, bonus_position=0.005, bonus_orientation=0.02)
+    earned = [reward(one, *map(jnp.asarray, (position, orientation, [0.0], True))) for one in (CONFIG, success)]
+    assert float(earned[1] - earned[0]) == pytest.approx(bonus, abs=1e-6)
 
 
 def test_nearer_is_better_everywhere_within_reach():
