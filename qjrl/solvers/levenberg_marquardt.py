@@ -15,7 +15,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range
-from qjrl.geometry import cholesky
+from qjrl.geometry import cholesky, lanes
 from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.model_tip import TipFunction
@@ -121,7 +121,7 @@ def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Arra
 def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 lanes"]) -> Residual:
     """Error and Jacobian of a tip; the rotation error is the logarithm on SO(3), weighted [m/rad]."""
     x, y = targets[3:6], targets[6:9]
-    turn = _rotation_vector(tip.rotation, jnp.stack([x, y, jnp.cross(x, y, axis=0)], axis=1))
+    turn = lanes.rotation_vector(tip.rotation, jnp.stack([x, y, lanes.cross(x, y)], axis=1))
     return Residual(
         jnp.concatenate([targets[:3] - tip.position, weight * turn]),
         jnp.concatenate([tip.velocity, weight * tip.angular_velocity]),
@@ -221,22 +221,7 @@ def _is_near(config: DescentConfig, residual: Residual) -> jax.Array:
     )
 
 
-def _rotation_vector(rotation: jax.Array, target: jax.Array) -> jax.Array:
-    """Logarithm of target rotation^T: axis times angle in the base frame, (3, lanes) [rad]."""
-    relative = jnp.sum(target[:, None] * rotation[None], axis=2)
-    sine_axis = 0.5 * jnp.stack(
-        [relative[2, 1] - relative[1, 2], relative[0, 2] - relative[2, 0], relative[1, 0] - relative[0, 1]]
-    )
-    squared = jnp.sum(sine_axis**2, axis=0)
-    is_straight = squared < _TINY  # angle near 0, where angle / sine is 1, or near 180 degrees, where no axis is known
-    sine = jnp.sqrt(jnp.where(is_straight, 1.0, squared))
-    cosine = 0.5 * (relative[0, 0] + relative[1, 1] + relative[2, 2] - 1.0)
-    return sine_axis * jnp.where(is_straight, 1.0, jnp.arctan2(sine, cosine) / sine)
-
-
 # A descent goes on until its errors are this part of the tolerances: the answer holds when it is recomputed.
 _MARGIN = 0.1
 # A joint this close to its limit counts as at it: clipping leaves it there to rounding.
 _AT_LIMIT = 1.0 - 1e-6
-# Squared sine of 1e-6 rad.
-_TINY = 1e-12

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float
 
+from qjrl.geometry import lanes
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
@@ -54,13 +55,13 @@ def tip_of(arm: QuaternionArm, vectors: Float[Array, "segments 2 *batch"]) -> Ti
     ends, velocities, turnings = [], [], []
     for count, vector in zip(arm.joints_per_segment, vectors, strict=True):
         segment = segment_end(arm, count, vector)
-        velocities.append(_product(rotation, segment.velocity))
-        turnings.append(_product(rotation, segment.angular_velocity))
-        position = position + _product(rotation, segment.position[:, None])[:, 0]
-        rotation = _product(rotation, segment.rotation)
+        velocities.append(lanes.product(rotation, segment.velocity))
+        turnings.append(lanes.product(rotation, segment.angular_velocity))
+        position = position + lanes.times(rotation, segment.position)
+        rotation = lanes.product(rotation, segment.rotation)
         ends.append(position)
     swung = [
-        velocity + _cross(turning, (position - end)[:, None])
+        velocity + lanes.cross(turning, (position - end)[:, None])
         for velocity, turning, end in zip(velocities, turnings, ends, strict=True)
     ]
     return Tip(position, rotation, jnp.concatenate(swung, axis=1), jnp.concatenate(turnings, axis=1))
@@ -87,17 +88,19 @@ def segment_end(arm: QuaternionArm, count: int, vector: Float[Array, "2 *batch"]
     one = jnp.ones_like(x)
     return SegmentEnd(
         jnp.stack([across * x, across * y, along]),
-        _stack(
+        lanes.from_rows(
             [one - lean * x * x, -lean * x * y, swing * x],
             [-lean * x * y, one - lean * y * y, swing * y],
             [-swing * x, -swing * y, one - lean * squared],
         ),
-        _stack(
+        lanes.from_rows(
             [across + 2.0 * across_rate * x * x, 2.0 * across_rate * x * y],
             [2.0 * across_rate * x * y, across + 2.0 * across_rate * y * y],
             [2.0 * along_rate * x, 2.0 * along_rate * y],
         ),
-        _stack([-twist * x * y, twist * x * x - count], [count - twist * y * y, twist * x * y], [-lean * y, lean * x]),
+        lanes.from_rows(
+            [-twist * x * y, twist * x * x - count], [count - twist * y * y, twist * x * y], [-lean * y, lean * x]
+        ),
     )
 
 
@@ -121,20 +124,6 @@ def _chebyshev(cosine, degree: int) -> list:
     for _ in range(degree - 1):
         values.append(2.0 * cosine * values[-1] - values[-2])
     return values
-
-
-def _product(matrix, other):
-    """Matrix product (3, 3) (3, columns) over the leading axes."""
-    return jnp.sum(matrix[:, :, None] * other[None], axis=1)
-
-
-def _cross(a, b):
-    """Cross product over the leading axis."""
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _stack(*rows):
-    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 # theta^2 of a straight joint: 1e-6 rad, whose square is far below rounding against 1.

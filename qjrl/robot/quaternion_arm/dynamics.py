@@ -5,7 +5,7 @@ Forces come from recursive Newton-Euler, the mass matrix from composite bodies, 
 
 A rigid body counts as four weighted points (`segment_shape`): its centre, weighted by the mass, and the tips of its axes,
 weighted by c_i = tr(I)/2 - I_ii. Then sum w |dz/dt|^2 is twice its kinetic energy, and bodies need no angular velocity.
-Components come first and a batch of arms last, as in `differential`.
+Components come first and a batch of arms last, as in `geometry.lanes`.
 """
 
 from typing import Any
@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from qjrl.geometry import lanes
 from qjrl.robot.quaternion_arm.cables import cable_matrix
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
@@ -22,11 +23,8 @@ from qjrl.robot.quaternion_arm.mjcf import CHORD_RADIUS, PAYLOAD_RADIUS, SLIDE_A
 from qjrl.robot.quaternion_arm.segment_shape import (
     SegmentMotion,
     height_at,
-    identity_like,
-    product,
     segment_motions,
     segment_shape,
-    times,
 )
 
 
@@ -83,8 +81,8 @@ def tip_pose(arm: QuaternionArm, half_angles: jax.Array) -> jax.Array:
     shapes = [segment_shape(arm, count, pair) for count, pair in zip(arm.joints_per_segment, half_angles, strict=True)]
     position, rotation = shapes[0].end, shapes[0].rotation
     for shape in shapes[1:]:
-        position = position + times(rotation, shape.end)
-        rotation = product(rotation, shape.rotation)
+        position = position + lanes.times(rotation, shape.end)
+        rotation = lanes.product(rotation, shape.rotation)
     return jnp.concatenate([position, rotation[:, 0], rotation[:, 1]])
 
 
@@ -114,20 +112,22 @@ class _Wrench:
     angular: jax.Array
 
     def turned(self, rotation: jax.Array) -> "_Wrench":
-        return _Wrench(times(rotation, self.linear), times(rotation, self.angular))
+        return _Wrench(lanes.times(rotation, self.linear), lanes.times(rotation, self.angular))
 
     def moved(self, arm: jax.Array) -> "_Wrench":
         """About the point that lies `arm` before."""
-        return _Wrench(self.linear, self.angular + _cross(arm, self.linear))
+        return _Wrench(self.linear, self.angular + lanes.cross(arm, self.linear))
 
     def along(self, segment: SegmentMotion, coordinate: int) -> jax.Array:
         """What it does at a segment's end for one of its half angles."""
-        return _dot(self.linear, segment.slope.end[coordinate]) + _dot(self.angular, segment.at.turning[:, coordinate])
+        return lanes.dot(self.linear, segment.slope.end[coordinate]) + lanes.dot(
+            self.angular, segment.at.turning[:, coordinate]
+        )
 
     def plus_points(self, points: jax.Array, pulls: jax.Array) -> "_Wrench":
         """With pulls (3, points, *batch) at weighted points; axes have none but a moment."""
         return _Wrench(
-            self.linear + jnp.sum(pulls[:, ::4], axis=1), self.angular + jnp.sum(_cross(points, pulls), axis=1)
+            self.linear + jnp.sum(pulls[:, ::4], axis=1), self.angular + jnp.sum(lanes.cross(points, pulls), axis=1)
         )
 
 
@@ -145,10 +145,12 @@ def _force(arm: QuaternionArm, load: Load, segments: list[SegmentMotion], rates:
         local = _seen_from_rest(turned[:, None], turned_rate[:, None], at.points, speed.points, drift.points)
         pulls.append(weights * local.at[:, ::4].add(moved[:, None]))
         end = moved + _seen_from_rest(turned, turned_rate, at.end, speed.end, drift.end)
-        spin = times(at.turning, rate)
-        spin_rate = _cross(turned, spin) + times(speed.turning, rate)
+        spin = lanes.times(at.turning, rate)
+        spin_rate = lanes.cross(turned, spin) + lanes.times(speed.turning, rate)
         back = jnp.swapaxes(at.rotation, 0, 1)
-        turned, turned_rate, moved = (times(back, value) for value in (turned + spin, turned_rate + spin_rate, end))
+        turned, turned_rate, moved = (
+            lanes.times(back, value) for value in (turned + spin, turned_rate + spin_rate, end)
+        )
     beyond = _Wrench(load.payload * moved, 2.0 * _ball_weight(load) * turned_rate)
     forces = []
     for segment, pull in zip(segments[::-1], pulls[::-1], strict=True):
@@ -169,12 +171,12 @@ def _mass_matrix(arm: QuaternionArm, load: Load, segments: list[SegmentMotion]) 
     size = 2 * len(segments)
     entries: list[list] = [[None] * size for _ in range(size)]
     mass, first = load.payload, jnp.zeros_like(segments[0].at.end)
-    second = _ball_weight(load) * identity_like(segments[0].at.rotation)
+    second = _ball_weight(load) * lanes.identity_like(segments[0].at.rotation)
     for index in reversed(range(len(segments))):
         segment, at, slope = segments[index], segments[index].at, segments[index].slope
         weights = _weights(arm, segment)
-        first = times(at.rotation, first)
-        second = product(product(at.rotation, second), jnp.swapaxes(at.rotation, 0, 1))
+        first = lanes.times(at.rotation, first)
+        second = lanes.product(lanes.product(at.rotation, second), jnp.swapaxes(at.rotation, 0, 1))
         for k in range(2):
             momenta = weights * slope.points[k]
             wrench = _momentum(mass, first, second, slope.end[k], at.turning[:, k])
@@ -198,8 +200,8 @@ def _mass_matrix(arm: QuaternionArm, load: Load, segments: list[SegmentMotion]) 
 def _momentum(mass, first, second, velocity, turning) -> _Wrench:
     """Of bodies held together, about a point that moves and about which they turn."""
     trace = second[0, 0] + second[1, 1] + second[2, 2]
-    angular = _cross(first, velocity) + trace * turning - times(second, turning)
-    return _Wrench(mass * velocity + _cross(turning, first), angular)
+    angular = lanes.cross(first, velocity) + trace * turning - lanes.times(second, turning)
+    return _Wrench(mass * velocity + lanes.cross(turning, first), angular)
 
 
 def _together(mass, first, second, at, weights):
@@ -279,7 +281,7 @@ def _ball_weight(load: Load) -> jax.Array:
 
 def _seen_from_rest(turned, turned_rate, place, speed, drift):
     """Acceleration of a place in a frame that turns, without that of the frame's origin."""
-    return drift + _cross(turned_rate, place) + _cross(turned, _cross(turned, place) + 2.0 * speed)
+    return drift + lanes.cross(turned_rate, place) + lanes.cross(turned, lanes.cross(turned, place) + 2.0 * speed)
 
 
 def _only(value: jax.Array, place: int, size: int) -> jax.Array:
@@ -289,11 +291,3 @@ def _only(value: jax.Array, place: int, size: int) -> jax.Array:
 
 def _outer(a, b):
     return a[:, None] * b[None]
-
-
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a, b):
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

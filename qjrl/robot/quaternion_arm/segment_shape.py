@@ -2,15 +2,14 @@
 
 The half angles (x, y) of a joint are those of the MJCF's lower hinges: n = Rx(x) Ry(y) e_z is half-way through the joint.
 A rigid body is given by four points: its centre and the tips of its three principal axes.
-Components come first and a batch of arms last, as in `differential`.
+Components come first and a batch of arms last, as in `geometry.lanes`.
 """
-
-import functools
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
+from qjrl.geometry import lanes
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
@@ -57,13 +56,13 @@ def segment_shape(arm: QuaternionArm, count: int, half_angles: jax.Array) -> Seg
     home_height = height_at(arm, jnp.ones((), half.dtype))
     chord, turn = _chord(sine_x, cosine_x, sine_y, cosine_y), _half_turn(half)
     turning_once = _turning(sine_x, cosine_x, sine_y, cosine_y)
-    end, rotation, turning = jnp.zeros_like(half), identity_like(chord), jnp.zeros_like(turning_once)
+    end, rotation, turning = jnp.zeros_like(half), lanes.identity_like(chord), jnp.zeros_like(turning_once)
     points = []
     for _ in range(count):
-        along = times(rotation, half)
-        turning = turning + product(rotation, turning_once)
-        points += [end + 0.5 * home_height * along, *_columns(product(rotation, chord))]
-        rotation = product(rotation, turn)
+        along = lanes.times(rotation, half)
+        turning = turning + lanes.product(rotation, turning_once)
+        points += [end + 0.5 * home_height * along, *_columns(lanes.product(rotation, chord))]
+        rotation = lanes.product(rotation, turn)
         plate = end + height * along
         points += [plate + 0.5 * link_length * rotation[:, 2], *_columns(rotation)]
         end = plate + link_length * rotation[:, 2]
@@ -90,22 +89,6 @@ def height_at(arm: QuaternionArm, cosine: jax.Array) -> jax.Array:
     return height_of_cosine(crossed, pins, offset, cosine)
 
 
-def times(matrix: jax.Array, vector: jax.Array) -> jax.Array:
-    """Matrix (3, n) times vector (n), over the leading axes."""
-    terms = [matrix[:, column] * vector[column] for column in range(len(vector))]
-    return functools.reduce(jnp.add, terms)
-
-
-def product(matrix: jax.Array, other: jax.Array) -> jax.Array:
-    """Matrix (3, 3) times matrix (3, n), over the leading axes."""
-    return jnp.stack([times(matrix, other[:, column]) for column in range(other.shape[1])], axis=1)
-
-
-def identity_like(matrix: jax.Array) -> jax.Array:
-    """The identity, as many as `matrix` (3, 3, *batch) holds."""
-    return jnp.zeros_like(matrix) + jnp.eye(3, dtype=matrix.dtype).reshape(3, 3, *[1] * (matrix.ndim - 2))
-
-
 def _motion(arm: QuaternionArm, count: int, angles: jax.Array, rates: jax.Array) -> SegmentMotion:
     shape = lambda angles: segment_shape(arm, count, angles)  # noqa: E731
     (at, rate), (_, drift) = jax.jvp(lambda angles: jax.jvp(shape, (angles,), (rates,)), (angles,), (rates,))
@@ -117,7 +100,7 @@ def _motion(arm: QuaternionArm, count: int, angles: jax.Array, rates: jax.Array)
 def _chord(sine_x, cosine_x, sine_y, cosine_y):
     """Rx(x) Ry(y)."""
     zero = jnp.zeros_like(sine_x)
-    return _matrix(
+    return lanes.from_rows(
         [cosine_y, zero, sine_y],
         [sine_x * sine_y, cosine_x, -sine_x * cosine_y],
         [-cosine_x * sine_y, sine_x, cosine_x * cosine_y],
@@ -127,7 +110,7 @@ def _chord(sine_x, cosine_x, sine_y, cosine_y):
 def _half_turn(n):
     """Rot(n, pi) Rot(z, pi) (Eq. 2 of paper 000)."""
     x, y, z = n
-    return _matrix(
+    return lanes.from_rows(
         [1.0 - 2.0 * x * x, -2.0 * x * y, 2.0 * x * z],
         [-2.0 * x * y, 1.0 - 2.0 * y * y, 2.0 * y * z],
         [-2.0 * x * z, -2.0 * y * z, 2.0 * z * z - 1.0],
@@ -139,12 +122,8 @@ def _turning(sine_x, cosine_x, sine_y, cosine_y):
     have turned them, e_x + Rx(x) Ry(2y) e_x and 2 Rx(x) e_y."""
     sine, cosine = 2.0 * sine_y * cosine_y, cosine_y**2 - sine_y**2
     zero = jnp.zeros_like(sine)
-    return _matrix([1.0 + cosine, zero], [sine_x * sine, 2.0 * cosine_x], [-cosine_x * sine, 2.0 * sine_x])
+    return lanes.from_rows([1.0 + cosine, zero], [sine_x * sine, 2.0 * cosine_x], [-cosine_x * sine, 2.0 * sine_x])
 
 
 def _columns(matrix) -> list:
     return [matrix[:, 0], matrix[:, 1], matrix[:, 2]]
-
-
-def _matrix(*rows):
-    return jnp.stack([jnp.stack(row) for row in rows])
