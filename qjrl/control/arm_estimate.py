@@ -32,7 +32,7 @@ class EstimateConfig:
     """Of the logarithm of the servos' gain; 0.13 is that of gains between 0.8 and 1.25."""
     tilt_deg: Annotated[float, Range(above=0.0)] = 2.5
     """Of the base's lean about x and about y [deg]; 2.5 is that of leans up to 5 in any direction."""
-    friction: Annotated[float, Range(above=0.0)] = 0.2
+    friction: Annotated[float, Range(above=0.0)] = 0.1
     """Of the friction that dither leaves in a strand [N]."""
     encoder_noise_deg: Annotated[float, Range(above=0.0)] = 0.25
     """Of one reading of a joint's encoders [deg]."""

@@ -73,7 +73,7 @@ def begin(
         base_lengths=base_lengths,
         command=zeros,
         trend=zeros,
-        swing=zeros[0],
+        swing=jnp.asarray(config.dither.amplitude, zeros.dtype),  # friction holds an arm that hardly moves, too
         correction=tip_correction.correction_matrix(robot, base_lengths),
         expected=believed.expected,
         covariance=believed.covariance,
@@ -133,8 +133,8 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
     ramped = motors.ramped_base(robot, state.base_lengths, time)
     trend = motors.smoothed(config.dither, state.trend, added, period)
     moved = ramped - motors.ramped_base(robot, state.base_lengths, time - period) + trend - state.trend
-    swing = motors.next_swing(config.dither, state.swing, moved, period)
     after = time - motors.ramp_time(robot, state.base_lengths)
+    swing = motors.next_swing(config.dither, state.swing, moved, after, period)
     desired = ramped + added + motors.dither(config.dither, swing, state.base_lengths, after)
     lengths = motors.limit_speed(robot, state.command, motors.limit_lengths(robot, desired), period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])

@@ -195,7 +195,15 @@ def _compile(config: EnvironmentConfig) -> _Compiled:
 
 
 # All that `episode.begin` asks of its configuration: the others compile nothing again.
-_BEGINS_WITH = ("episode_steps", "control_period", "latest_arrival", "scored_time", "residual", "randomisation")
+_BEGINS_WITH = (
+    "episode_steps",
+    "control_period",
+    "latest_arrival",
+    "scored_time",
+    "dither",
+    "residual",
+    "randomisation",
+)
 
 
 @cache

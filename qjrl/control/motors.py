@@ -21,7 +21,7 @@ class ResidualConfig:
     """Offset [m] at an action of 1, of the tip or of a cable; an orientation counts with `LEVER`. The paper's is 0.020."""
     rate: Annotated[float, Range(above=0.0)] = 0.01
     """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step."""
-    lag: Annotated[float, Range(low=0.0)] = 0.3
+    lag: Annotated[float, Range(low=0.0)] = 0.05
     """Time constant [s] with which the offset follows the action, ours: noise of the action hardly moves the cables."""
 
 
@@ -31,15 +31,18 @@ class DitherConfig:
 
     Dry friction holds a strand short of where its spring would let it rest, always against the way it came. Swings that
     die away slowly leave it in the middle, as they leave a magnet without magnetisation. Whatever moves the cables later,
-    feedback or a policy, brings friction back, so that the swings grow again by as much as the cables are moved.
+    feedback or a policy, brings friction back, so that the swings grow again by as much as the cables are moved; the
+    longer ago the ramp ended, the less, lest noise in the feedback keep them alive.
     """
 
     amplitude: Annotated[float, Range(low=0.0)] = 0.0005
     """Largest swing of a cable [m], ours: that after the ramp; 0 switches it off. Motors too slow for it swing less at first."""
-    growth: Annotated[float, Range(low=0.0)] = 2.0
+    growth: Annotated[float, Range(low=0.0)] = 8.0
     """What the swings grow by for each metre that the cables are moved otherwise."""
     decay: Annotated[float, Range(above=0.0)] = 0.3
     """Time in which the swings fall to 1/e [s]."""
+    lifetime: Annotated[float, Range(above=0.0)] = 0.8
+    """Time [s] since the ramp's end in which the largest swing falls to 1/e."""
     half_period: Annotated[float, Range(above=0.0)] = 0.02
     """Time between two reversals [s]."""
 
@@ -63,10 +66,11 @@ def smoothed(config: DitherConfig, trend: jax.Array, added: jax.Array, period: f
     return trend + (1.0 - math.exp(-period / config.decay)) * (added - trend)
 
 
-def next_swing(config: DitherConfig, swing: jax.Array, moved: jax.Array, period: float) -> jax.Array:
-    """Swing [m] one control period [s] later, in which the cables (num_cables,) [m] were `moved` by all but the dither."""
+def next_swing(config: DitherConfig, swing: jax.Array, moved: jax.Array, waited: jax.Array, period: float) -> jax.Array:
+    """Swing [m] one control period [s] later, a time [s] after the ramp's end: the cables (num_cables,) [m] were `moved`
+    by all but the dither."""
     grown = swing * math.exp(-period / config.decay) + config.growth * jnp.max(jnp.abs(moved))
-    return jnp.minimum(grown, config.amplitude)
+    return jnp.minimum(grown, config.amplitude * jnp.exp(-jnp.maximum(waited, 0.0) / config.lifetime))
 
 
 def dither(config: DitherConfig, swing: jax.Array, base_lengths: jax.Array, waited: jax.Array) -> jax.Array:

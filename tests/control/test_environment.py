@@ -122,6 +122,26 @@ def test_only_the_bases_that_have_them_dither_and_feed_back(judged):
     assert 1e-4 < arrived["dither"] <= 5e-4 and arrived["integral"] > 1e-5
 
 
+def test_dither_frees_an_arm_that_hardly_moves():
+    """Friction holds a leaning arm upright at home; shaken, it rests where it would without friction."""
+    near, drawn = bank(share=1e-4), dataclasses.replace(CONFIG.randomisation, least_tilt_deg=5.0, encoder_noise_deg=0.0)
+    tips = {}
+    for friction, amplitude in ((0.0, 0.0), (3.0, 0.0), (3.0, 5e-4)):
+        config = dataclasses.replace(
+            CONFIG,
+            episode_steps=100,
+            dither=DitherConfig(amplitude=amplitude),
+            randomisation=dataclasses.replace(drawn, strand_friction=(friction, friction)),
+        )
+        one = environment(rows=np.arange(NUM_ENVS), config=config, targets=near)
+        one.reset()
+        for _ in range(config.episode_steps - 1):
+            one.step(np.zeros((NUM_ENVS, ARM.num_cables)))
+        tips[friction, amplitude] = np.array(one._stepper.read().pose[:, :3])
+    held, shaken = (np.linalg.norm(tips[3.0, swing] - tips[0.0, 0.0], axis=1) for swing in (0.0, 5e-4))
+    assert np.linalg.norm(shaken) < 0.4 * np.linalg.norm(held)
+
+
 def test_episodes_end_by_the_time_limit_alone(judged):
     judged.reset()
     for step in range(1, 2 * CONFIG.episode_steps + 1):

@@ -1,0 +1,23 @@
+"""Trains a small policy on the real arm into a folder: python killed_training.py FOLDER. Run, killed and run again by
+test_policy_training.py."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import jax
+from test_policy_training import POLICY, columns
+from worlds import ARM
+
+from qjrl.control.policy_training import train_policy
+from qjrl.learning.ppo.imitation import ImitationConfig
+from qjrl.simulation.settle_problem import SettleConfig
+
+PPO = dataclasses.replace(
+    POLICY.ppo, num_steps=60 * POLICY.num_envs * POLICY.ppo.unroll_length, imitation=ImitationConfig(rounds=4, steps=40)
+)
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    config = dataclasses.replace(POLICY, engine="minimal", ppo=PPO)
+    train_policy(ARM, SettleConfig(), config, columns(), 0, Path(sys.argv[1]))
