@@ -49,10 +49,9 @@ _CONTROLLERS = {
     "learned_ik+integral": ("teal", "-"),
     "learned_ik+dither": ("violet", (0, (4, 1.6))),
     "learned_ik+dither+integral": ("teal", (0, (4, 1.6))),
-    "learned_ik+residual": ("orange", "-"),
-    "learned_ik+integral+residual": ("orange", "-"),
-    "learned_ik+dither+residual": ("orange", "-"),
+    "learned_ik+dither+estimate": ("violet", "-"),
 }
+_POLICY = ("orange", "-")
 _LINES = ("-", (0, (4, 1.6)), (0, (1, 1.2)), (0, (6, 1.5, 1, 1.5)))
 
 
@@ -62,12 +61,13 @@ def series_colour(index: int) -> str:
 
 
 def controller_look(name: str, index: int) -> dict:
-    """Line colour and dashes of a controller: always the same for the known ones.
+    """Line colour and dashes of a controller: always the same for the known ones, and for every policy.
 
     Args:
         index: position among the controllers shown, for the looks of unknown ones.
     """
-    colour, dashes = _CONTROLLERS.get(name, (SERIES[index % len(SERIES)], _LINES[index % len(_LINES)]))
+    unknown = (SERIES[index % len(SERIES)], _LINES[index % len(_LINES)])
+    colour, dashes = _POLICY if name.endswith("+residual") else _CONTROLLERS.get(name, unknown)
     return {"color": LIGHT[colour], "linestyle": dashes}
 
 

@@ -14,7 +14,9 @@ from qjrl.learning.ppo.imitation import ImitationConfig
 from qjrl.simulation.settle_problem import SettleConfig
 
 PPO = dataclasses.replace(
-    POLICY.ppo, num_steps=60 * POLICY.num_envs * POLICY.ppo.unroll_length, imitation=ImitationConfig(rounds=4, steps=40)
+    POLICY.ppo,
+    num_steps=120 * POLICY.num_envs * POLICY.ppo.unroll_length,
+    imitation=ImitationConfig(rounds=4, steps=40),
 )
 
 if __name__ == "__main__":

@@ -1,4 +1,10 @@
 import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -69,6 +75,46 @@ def test_a_training_resumed_on_the_real_arm_equals_an_uninterrupted_one_bit_for_
     assert_same_tree(policy, expected)
     assert_same_tree(load(tmp_path / "checkpoints"), load(directory / "checkpoints"))
     assert_same_bits(env.get_state(), state)
+
+
+@pytest.mark.slow
+def test_20_kills_at_random_moments_change_nothing(tmp_path):
+    """Each process is the real one: killed before its first record, or within half a second after one of its first three."""
+    program, cache = (
+        Path(__file__).with_name("killed_training.py"),
+        {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "xla")},
+    )
+    paths = os.pathsep.join(str(folder) for folder in (program.parents[2], program.parents[1], program.parent))
+    environ = os.environ | cache | {"PYTHONPATH": paths, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+    log = tmp_path / "killed" / "progress.jsonl"
+
+    def begin(name):
+        return subprocess.Popen([sys.executable, str(program), str(tmp_path / name)], env=environ)
+
+    def records():
+        return log.read_bytes().count(b"\n") if log.exists() else 0
+
+    assert begin("whole").wait() == 0  # fills the cache
+    random, reached = np.random.default_rng(0), []
+    for _ in range(20):
+        process, before, more = begin("killed"), records(), random.integers(0, 4)
+        if more == 0:
+            time.sleep(random.uniform(0.0, 5.0))
+        while records() < before + more and process.poll() is None:
+            time.sleep(0.01)
+        time.sleep(random.uniform(0.0, 0.5))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        reached.append(records())
+    assert begin("killed").wait() == 0
+    assert len(set(reached)) >= 8  # killed in the midst of it
+    assert_same_tree(load(tmp_path / "killed" / "checkpoints"), load(tmp_path / "whole" / "checkpoints"))
+    assert_same_bits(*(dict(np.load(tmp_path / name / "policy.npz")) for name in ("killed", "whole")))
+    untimed = [
+        [{key: value for key, value in one.items() if "second" not in key} for one in load(folder / "progress.jsonl")]
+        for folder in (tmp_path / "killed", tmp_path / "whole")
+    ]
+    assert untimed[0] == untimed[1]
 
 
 def test_no_training_state_holds_a_float64_leaf(whole):

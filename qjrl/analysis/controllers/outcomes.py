@@ -9,14 +9,6 @@ CONTROLLER_LABELS = {
     "least_squares": "least squares, closed form",
     "nominal": "nominal closed form",
     "learned_ik": "learned IK",
-    "learned_ik+integral": "learned IK + integral",
-    "learned_ik+dither": "learned IK + dither",
-    "learned_ik+dither+integral": "learned IK + dither + integral",
-    "nominal+residual": "nominal + residual",
-    "learned_ik+residual": "learned IK + residual",
-    "learned_ik+integral+residual": "learned IK + integral + residual",
-    "learned_ik+dither+residual": "learned IK + dither + residual",
-    "learned_ik+dither+integral+residual": "learned IK + dither + integral + residual",
 }
 
 TARGET_SET_LABELS = {"uniform": "uniform bends", "near_home": "near home"}
@@ -78,8 +70,8 @@ class Outcome:
 
 
 def controller_label(name: str) -> str:
-    """The words for a controller in tables and legends."""
-    return CONTROLLER_LABELS.get(name, name.replace("_", " "))
+    """The words for a controller in tables and legends: those of its parts, "learned_ik+dither" being "learned IK + dither"."""
+    return " + ".join(CONTROLLER_LABELS.get(part, part.replace("_", " ")) for part in name.split("+"))
 
 
 def target_set_label(name: str) -> str:
