@@ -93,6 +93,8 @@ class EpisodeState:
     """Time for which a motor or a strand has been at its limit [s]."""
     initial_errors: jax.Array
     """(2,) position [m] and orientation [rad] error at the start."""
+    needed: jax.Array
+    """(action size,) the action that would take the tip to its target, smoothed since the base command was ramped in."""
     episode_steps: jax.Array
     """Step at which this episode ends."""
     key: jax.Array
@@ -139,6 +141,7 @@ def begin(
         faults=draw_faults(config.randomisation, robot, key_faults, control.command),
         overloaded=jnp.zeros((), bank.base_lengths.dtype),
         initial_errors=jnp.zeros(2, bank.base_lengths.dtype),
+        needed=jnp.zeros_like(control.residual),
         episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
         key=key_next,
     )
@@ -168,7 +171,8 @@ def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth:
     reading, key_next = _read(config, robot, state, truth)
     control = controller.sense(config.controller, robot, state.control, reading)
     overloaded = termination.overloaded_for(robot, state.overloaded, truth, config.control_period)
-    state = dataclasses.replace(state, control=control, overloaded=overloaded, key=key_next)
+    needed = _needed(config, robot, state.needed, control, truth)
+    state = dataclasses.replace(state, control=control, overloaded=overloaded, needed=needed, key=key_next)
     has_arrived = controller.ramped_in(config.controller, robot, control) >= 1.0
     errors = _errors(truth, control)
     is_lost = termination.is_lost(config.termination, robot, truth, overloaded)
@@ -196,15 +200,23 @@ def _observation(
     config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState, errors: jax.Array
 ) -> dict[str, jax.Array]:
     actor = controller.observation(config.controller, robot, state.control)
-    advice = _advice(config, robot, state.control, truth)
+    advice = _advice(config, robot, state.control, state.needed)
     critic = critic_observation(actor, state.control.target, truth, errors, state.initial_errors, advice)
     return {ACTOR_KEY: actor, CRITIC_KEY: critic}
 
 
-def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, truth: TrueState) -> jax.Array:
-    """The action that takes the tip to its target, as only the simulation can know; none before the arm has settled."""
+def _needed(config: EnvironmentConfig, robot: Robot, before: jax.Array, control: ControlState, truth: TrueState):
+    """The action that takes the tip to its target, as only the simulation can know, smoothed: the dither's swings are
+    not to be answered."""
     lacking = tip_correction.weighted_difference(truth.pose, control.target)
-    needed = control.residual / config.residual.bound + motors.action_of(config.residual, lacking, control.correction)
+    now = control.residual / config.residual.bound + motors.action_of(config.residual, lacking, control.correction)
+    share = 1.0 - math.exp(-config.control_period / _SMOOTHING)
+    smoothed = before + share * (now - before)
+    return jnp.where(controller.waited(config.controller, robot, control) > 0.0, smoothed, now).astype(before.dtype)
+
+
+def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, needed: jax.Array) -> jax.Array:
+    """What the policy should add to the controller's own action; nothing before the arm has settled."""
     own = controller.own_action(config.controller, robot, control)
     advised = jnp.clip(jnp.clip(needed, -1.0, 1.0) - own, -1.0, 1.0)
     return jnp.where(controller.waited(config.controller, robot, control) >= SETTLING, advised, 0.0)
@@ -212,3 +224,7 @@ def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, trut
 
 def _errors(truth: TrueState, control: ControlState) -> jax.Array:
     return jnp.stack([position_error(truth.pose, control.target), orientation_error(truth.pose, control.target)])
+
+
+# Time constant [s]: five control periods, in which swings that turn at every one leave a tenth of themselves.
+_SMOOTHING = 0.1

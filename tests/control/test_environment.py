@@ -25,7 +25,7 @@ from qjrl.control.policy_training import acting
 from qjrl.control.sensors import MEMORY_SIZE
 from qjrl.control.tip_correction import IntegralConfig
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv
+from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv, advice_of
 from qjrl.learning.ppo.iteration import compile_functions
 from qjrl.learning.ppo.training_state import initial_state, policy_of
 
@@ -140,6 +140,32 @@ def test_dither_frees_an_arm_that_hardly_moves():
         tips[friction, amplitude] = np.array(one._stepper.read().pose[:, :3])
     held, shaken = (np.linalg.norm(tips[3.0, swing] - tips[0.0, 0.0], axis=1) for swing in (0.0, 5e-4))
     assert np.linalg.norm(shaken) < 0.4 * np.linalg.norm(held)
+
+
+def advised_episode(follows, amplitude):
+    """Advice at every step of an episode without friction, and the position errors at its end [m]."""
+    drawn = dataclasses.replace(CONFIG.randomisation, strand_friction=(0.0, 0.0))
+    config = dataclasses.replace(CONFIG, episode_steps=80, dither=DitherConfig(amplitude), randomisation=drawn)
+    one, advised, errors = environment(rows=np.arange(NUM_ENVS), config=config), [], []
+    observation = one.reset()
+    for _ in range(config.episode_steps - 1):
+        advised.append(np.asarray(advice_of(observation, ARM.num_cables)))
+        transition = one.step(follows * advised[-1])
+        observation = transition.observation
+        errors.append(transition.metrics["position_error"])
+    return np.array(advised), errors[-1]
+
+
+def test_following_the_advice_takes_the_tip_to_its_target():
+    _, ignored = advised_episode(0.0, 0.0)
+    _, followed = advised_episode(1.0, 0.0)
+    assert np.all(followed < 0.01 * ignored)
+
+
+def test_the_advice_hardly_answers_the_swings():
+    (shaken, _), (still, _) = advised_episode(0.0, 5e-4), advised_episode(0.0, 0.0)
+    late = slice(45, None)  # swings of 0.2 mm and less
+    assert np.abs(shaken[late] - still[late]).max() * CONFIG.residual.bound < 5e-5
 
 
 def test_episodes_end_by_the_time_limit_alone(judged):
