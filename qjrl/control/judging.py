@@ -57,8 +57,8 @@ def first_in_time(
     columns: Iterable[str],
     count: int,
     setting: str,
-) -> np.ndarray:
-    """The first `count` of the `rows_in_time` of each target set.
+) -> dict[str, np.ndarray]:
+    """`targets`, with these base commands alone, of the first `count` of the `rows_in_time` of each target set.
 
     Raises:
         ConfigError: there are fewer; `setting` is the name of `count`.
@@ -67,7 +67,8 @@ def first_in_time(
     for name, found in rows.items():
         if len(found) < count:
             raise ConfigError(f"{setting}: got {count}, allowed: at most {len(found)} ({name})")
-    return np.concatenate([found[:count] for found in rows.values()])
+    chosen = np.concatenate([found[:count] for found in rows.values()])
+    return {name: targets[name][chosen] for name in ("target", "target_set", *columns)}
 
 
 def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:

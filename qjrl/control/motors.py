@@ -22,7 +22,7 @@ class ResidualConfig:
     rate: Annotated[float, Range(above=0.0)] = 0.01
     """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step."""
     lag: Annotated[float, Range(low=0.0)] = 0.05
-    """Time constant [s] with which the offset follows the action, ours: noise of the action hardly moves the cables."""
+    """Time constant [s] with which the offset follows the action, ours."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -78,8 +78,7 @@ def make_subject(
         ConfigError: there are fewer.
     """
     columns = {command_column(base) for base in (config.base, RIVAL)}
-    chosen = first_in_time(robot, config.environment, held_out, columns, num_targets, "residual.num_targets")
-    targets = {name: held_out[name][chosen] for name in ("target", "target_set", *columns)}
+    targets = first_in_time(robot, config.environment, held_out, columns, num_targets, "residual.num_targets")
     return Subject(robot, simulation, config, targets, seed)
 
 

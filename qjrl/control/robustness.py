@@ -83,10 +83,9 @@ def judge_disturbed(
     """
     bases = tuple(dict.fromkeys((*config.bases, policy_config.base)))
     columns = {command_column(base) for base in bases}
-    rows = first_in_time(
+    targets = first_in_time(
         robot, policy_config.environment, targets, columns, config.num_targets, "robustness.num_targets"
     )
-    targets = {name: targets[name][rows] for name in ("target", "target_set", *columns)}
     return {
         name: compare_controllers(
             robot,

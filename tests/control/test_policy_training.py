@@ -80,10 +80,8 @@ def test_a_training_resumed_on_the_real_arm_equals_an_uninterrupted_one_bit_for_
 @pytest.mark.slow
 def test_20_kills_at_random_moments_change_nothing(tmp_path):
     """Each process is the real one: killed before its first record, or within half a second after one of its first three."""
-    program, cache = (
-        Path(__file__).with_name("killed_training.py"),
-        {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "xla")},
-    )
+    program = Path(__file__).with_name("killed_training.py")
+    cache = {"JAX_COMPILATION_CACHE_DIR": str(tmp_path / "xla")}
     paths = os.pathsep.join(str(folder) for folder in (program.parents[2], program.parents[1], program.parent))
     environ = os.environ | cache | {"PYTHONPATH": paths, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     log = tmp_path / "killed" / "progress.jsonl"
