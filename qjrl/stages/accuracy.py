@@ -12,11 +12,11 @@ from qjrl.analysis.canvas import save_png
 from qjrl.analysis.controllers import corrections
 from qjrl.analysis.controllers.feedback_figures import errors_by_measurements
 from qjrl.analysis.tables import as_markdown, as_text
-from qjrl.control.accuracy import AccuracyConfig, judge_accuracy
-from qjrl.control.feedback import Corrected
 from qjrl.control.held_out import reachable_targets
 from qjrl.control.inversion import IKConfig
-from qjrl.control.open_loop import CONTROLLERS
+from qjrl.control.studies.accuracy import AccuracyConfig, judge_accuracy
+from qjrl.control.studies.feedback import Corrected
+from qjrl.control.studies.open_loop import CONTROLLERS
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig

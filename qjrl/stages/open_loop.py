@@ -15,7 +15,7 @@ from qjrl.analysis.controllers.error_figures import cumulative_errors
 from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.tables import as_text
 from qjrl.control.inversion import IKConfig
-from qjrl.control.open_loop import OpenLoopConfig, OpenLoopRun, run_open_loop
+from qjrl.control.studies.open_loop import OpenLoopConfig, OpenLoopRun, run_open_loop
 from qjrl.control.targets import TARGET_SETS
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import robot_from_mapping

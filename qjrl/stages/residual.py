@@ -10,9 +10,9 @@ from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.residual import figures, tables
 from qjrl.analysis.tables import as_markdown, as_text
-from qjrl.control.parameter_effects import one_at_a_time
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.residual_study import ResidualStudyConfig, ablate, effects, make_subject, over_time
+from qjrl.control.studies.parameter_effects import one_at_a_time
+from qjrl.control.studies.residual import ResidualStudyConfig, ablate, effects, make_subject, over_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping

@@ -13,7 +13,7 @@ from qjrl.analysis.robustness.report import robustness_metrics, robustness_table
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.bases import controller_name
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.robustness import RobustnessConfig, disturbances, judge_disturbed
+from qjrl.control.studies.robustness import RobustnessConfig, disturbances, judge_disturbed
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping

@@ -14,10 +14,10 @@ from qjrl.analysis.tracking.figures import track_pictures
 from qjrl.analysis.tracking.report import headline, track_report
 from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
 from qjrl.analysis.tracking.viewer import track_viewer
-from qjrl.control.paths import make_path, path_file
-from qjrl.control.track_run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
-from qjrl.control.tracking import TrackConfig
-from qjrl.control.trajectory import least_duration
+from qjrl.control.tracking.paths import make_path, path_file
+from qjrl.control.tracking.playing import TrackConfig
+from qjrl.control.tracking.run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
+from qjrl.control.tracking.trajectory import least_duration
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot

@@ -5,7 +5,7 @@ import pytest
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
-from qjrl.control.pretension import PretensionConfig
+from qjrl.control.tension.pretension import PretensionConfig
 from qjrl.simulation import SettleConfig
 from qjrl.stages import pretension as stage
 

@@ -10,7 +10,7 @@ from qjrl.control.bases import bank_of, controller_name, environment_of
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.robustness import UNDISTURBED, RobustnessConfig
+from qjrl.control.studies.robustness import UNDISTURBED, RobustnessConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.learning.ppo.policy import Policy, save_policy
 from qjrl.robot import cable_lengths, forward_kinematics

@@ -11,11 +11,11 @@ import pytest
 from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.config import as_mapping, conf_folder, read_yaml
-from qjrl.control.accuracy import AccuracyConfig
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
-from qjrl.control.open_loop import OpenLoopConfig
 from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.studies.accuracy import AccuracyConfig
+from qjrl.control.studies.open_loop import OpenLoopConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig

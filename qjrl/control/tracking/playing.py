@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.control.path_inversion import PathInversionConfig, path_errors
-from qjrl.control.paths import PosePath, ShapeConfig
-from qjrl.control.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
+from qjrl.control.tracking.inversion import PathInversionConfig, path_errors
+from qjrl.control.tracking.paths import PosePath, ShapeConfig
+from qjrl.control.tracking.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
 from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
@@ -26,7 +26,7 @@ class TrackConfig:
     """Group `track`."""
 
     path: str = "circle"
-    """"circle", "line", or a .csv or .npz file of poses, see `qjrl.control.paths.make_path`."""
+    """"circle", "line", or a .csv or .npz file of poses, see `qjrl.control.tracking.paths.make_path`."""
     shape: ShapeConfig = ShapeConfig()
     """Of the circle, the line; orientation; distance of waypoints."""
     inversion: PathInversionConfig = PathInversionConfig()

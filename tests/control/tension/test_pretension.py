@@ -8,10 +8,10 @@ from arms import arm_named
 
 from qjrl.artifacts import write_arrays
 from qjrl.config import ConfigError
-from qjrl.control import pretension as search
-from qjrl.control.pretension import PretensionConfig, Survey, choose, needed_pretension, survey
-from qjrl.control.tension_check import TensionCheck, check_tension
-from qjrl.control.tension_poses import path_poses, single_segment_poses, workspace_poses
+from qjrl.control.tension import pretension as search
+from qjrl.control.tension.check import TensionCheck, check_tension
+from qjrl.control.tension.poses import path_poses, single_segment_poses, workspace_poses
+from qjrl.control.tension.pretension import PretensionConfig, Survey, choose, needed_pretension, survey
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.settling import SettleResult
 

@@ -11,14 +11,14 @@ import numpy as np
 
 from qjrl import artifacts
 from qjrl.config import Range, as_mapping
-from qjrl.control.ablations import ABLATIONS, ablations
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Act, Judge, Judgement, first_in_time
 from qjrl.control.motors import ramp_time
 from qjrl.control.noise_floor import encoder_floor
-from qjrl.control.parameter_effects import one_at_a_time
 from qjrl.control.policy_training import PolicyConfig, acting, train_policy
+from qjrl.control.studies.ablations import ABLATIONS, ablations
+from qjrl.control.studies.parameter_effects import one_at_a_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot import bends_from_cables

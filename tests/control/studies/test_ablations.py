@@ -3,10 +3,10 @@ import dataclasses
 import pytest
 
 from qjrl.config import as_mapping
-from qjrl.control.ablations import ABLATIONS, ablations
-from qjrl.control.parameter_effects import NOMINAL, one_at_a_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import RandomisationConfig
+from qjrl.control.studies.ablations import ABLATIONS, ablations
+from qjrl.control.studies.parameter_effects import NOMINAL, one_at_a_time
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.imitation import ImitationConfig
 

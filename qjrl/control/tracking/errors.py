@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.control.paths import ROTATION_WEIGHT, Constraint
+from qjrl.control.tracking.paths import ROTATION_WEIGHT, Constraint
 from qjrl.geometry.pose import rotation_of
 from qjrl.geometry.rotations import geodesic_angle, safe_norm
 from qjrl.robot.forward_model import PoseFunction

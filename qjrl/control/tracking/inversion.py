@@ -21,9 +21,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_array, diags_array, eye_array, vstack
 
 from qjrl.config import ConfigError, Range
-from qjrl.control.path_chains import chained
-from qjrl.control.path_errors import model_poses, path_errors, pose_residual
-from qjrl.control.paths import ROTATION_WEIGHT, PosePath
+from qjrl.control.tracking.chains import chained
+from qjrl.control.tracking.errors import model_poses, path_errors, pose_residual
+from qjrl.control.tracking.paths import ROTATION_WEIGHT, PosePath
 from qjrl.robot import bends_from_cables
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.verbs import Robot

@@ -9,9 +9,9 @@ import numpy as np
 
 from qjrl import artifacts
 from qjrl.config import Range
-from qjrl.control.feedback import Corrected, MeasurementNoise, measure_and_correct
 from qjrl.control.inversion import IKConfig
-from qjrl.control.open_loop import CONTROLLERS, first_commands
+from qjrl.control.studies.feedback import Corrected, MeasurementNoise, measure_and_correct
+from qjrl.control.studies.open_loop import CONTROLLERS, first_commands
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig

@@ -7,12 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.control.path_errors import model_poses, path_errors
-from qjrl.control.path_inversion import CablePath, invert_path
-from qjrl.control.paths import PosePath, make_path
-from qjrl.control.tension_check import TensionCheck, check_tension
-from qjrl.control.tracking import Performance, Played, TrackConfig, TrackingErrors, judge, play
-from qjrl.control.trajectory import CableTrajectory, time_path
+from qjrl.control.tension.check import TensionCheck, check_tension
+from qjrl.control.tracking.errors import model_poses, path_errors
+from qjrl.control.tracking.inversion import CablePath, invert_path
+from qjrl.control.tracking.paths import PosePath, make_path
+from qjrl.control.tracking.playing import Performance, Played, TrackConfig, TrackingErrors, judge, play
+from qjrl.control.tracking.trajectory import CableTrajectory, time_path
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig

@@ -9,10 +9,10 @@ import pytest
 from arms import arm_named, over_rows
 
 from qjrl.config import ConfigError
-from qjrl.control.path_chains import chained
-from qjrl.control.path_errors import counted_errors, model_poses, pose_residual
-from qjrl.control.path_inversion import PathInversionConfig, invert_path
-from qjrl.control.paths import CircleConfig, ShapeConfig, make_path
+from qjrl.control.tracking.chains import chained
+from qjrl.control.tracking.errors import counted_errors, model_poses, pose_residual
+from qjrl.control.tracking.inversion import PathInversionConfig, invert_path
+from qjrl.control.tracking.paths import CircleConfig, ShapeConfig, make_path
 from qjrl.geometry.pose import pose_from_frame
 from qjrl.geometry.rotations import rotation_x
 from qjrl.robot import bends_from_cables, forward_kinematics

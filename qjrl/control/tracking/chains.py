@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.control.path_errors import pose_residual
-from qjrl.control.paths import Constraint, PosePath
+from qjrl.control.tracking.errors import pose_residual
+from qjrl.control.tracking.paths import Constraint, PosePath
 from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import pose_function

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
 
-from qjrl.control.feedback import MeasurementNoise, measure_and_correct, measured_pose, missing_pose
 from qjrl.control.held_out import reachable_targets
+from qjrl.control.studies.feedback import MeasurementNoise, measure_and_correct, measured_pose, missing_pose
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation import SettleConfig, settle

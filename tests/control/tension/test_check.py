@@ -3,7 +3,7 @@
 import numpy as np
 from arms import altered, arm_named, over_rows, random_bends
 
-from qjrl.control.tension_check import TensionCheck, check_tension
+from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.robot import cable_lengths, robot_from_mapping
 from qjrl.simulation.settling import SettleResult
 

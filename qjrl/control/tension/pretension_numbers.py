@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from qjrl.control.pretension import (
+from qjrl.control.tension.check import TensionCheck
+from qjrl.control.tension.poses import PoseSet
+from qjrl.control.tension.pretension import (
     Choice,
     PretensionConfig,
     Survey,
@@ -12,8 +14,6 @@ from qjrl.control.pretension import (
     needed_pretension,
     off_nominal,
 )
-from qjrl.control.tension_check import TensionCheck
-from qjrl.control.tension_poses import PoseSet
 from qjrl.robot.quaternion_arm.naming import strand_name
 from qjrl.robot.verbs import Robot
 

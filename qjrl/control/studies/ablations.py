@@ -4,8 +4,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-from qjrl.control.parameter_effects import NOMINAL
 from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.studies.parameter_effects import NOMINAL
 from qjrl.learning.ppo.config import PPOConfig
 
 _Change = Callable[[PolicyConfig], PolicyConfig]

@@ -2,7 +2,7 @@ import dataclasses
 
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.randomisation import RandomisationConfig
-from qjrl.control.robustness import UNDISTURBED, RobustnessConfig, disturbances
+from qjrl.control.studies.robustness import UNDISTURBED, RobustnessConfig, disturbances
 
 CHANGES = {
     "gains +30 %": {"gain_scale": (1.3 * 0.8, 1.3 * 1.25)},

@@ -6,9 +6,9 @@ import pytest
 from arms import arm_named
 from scipy.interpolate import make_interp_spline
 
-from qjrl.control.paths import LineConfig, ShapeConfig, make_path
-from qjrl.control.tracking import Performance, Played, judge, play
-from qjrl.control.trajectory import MotionLimits, time_path
+from qjrl.control.tracking.paths import LineConfig, ShapeConfig, make_path
+from qjrl.control.tracking.playing import Performance, Played, judge, play
+from qjrl.control.tracking.trajectory import MotionLimits, time_path
 from qjrl.robot import cable_lengths
 from qjrl.simulation import SettleConfig, settle
 

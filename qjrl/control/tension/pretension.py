@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range
-from qjrl.control.tension_check import TensionCheck, check_tension
-from qjrl.control.tension_poses import Law, PoseSet, path_poses, workspace_poses
+from qjrl.control.tension.check import TensionCheck, check_tension
+from qjrl.control.tension.poses import Law, PoseSet, path_poses, workspace_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig

@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from qjrl.config import ConfigError
-from qjrl.control.paths import CircleConfig, LineConfig, ShapeConfig, make_path
+from qjrl.control.tracking.paths import CircleConfig, LineConfig, ShapeConfig, make_path
 
 CIRCLE = ShapeConfig(circle=CircleConfig((0.1, 0.2, 0.3), 0.05, (1.0, 2.0, 2.0), 30.0))
 HEADER = "x,y,z,qw,qx,qy,qz\n"

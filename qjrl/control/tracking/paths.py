@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from qjrl.config import ConfigError, Range
-from qjrl.control.path_files import FILE_KINDS, read_points, smooth_curve
+from qjrl.control.tracking.files import FILE_KINDS, read_points, smooth_curve
 
 Constraint = Literal["pose", "pointing", "position"]
 """What of a pose counts: all six degrees of freedom, position and direction of the tip's z axis, or position alone."""

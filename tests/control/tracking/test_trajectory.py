@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
 
-from qjrl.control.trajectory import MotionLimits, least_duration, straight_path, time_path
+from qjrl.control.tracking.trajectory import MotionLimits, least_duration, straight_path, time_path
 
 SPEED, LIMITS = 0.0314, MotionLimits(0.3, 6.0)
 PLACES = np.linspace(0.0, 0.3, 200)

@@ -1,0 +1,1 @@
+"""Questions asked of controllers on held-out targets: each file is one study, with its configuration and numbers."""

@@ -1,0 +1,1 @@
+"""How taut the strands are: the least pretension, and what a path or pose asks of strands and motors."""
