@@ -10,8 +10,8 @@ def make_stepper(robot: Robot, num_sims: int, config: SettleConfig, is_minimal: 
     """`num_sims` simulations on the engine that `config` names, or in minimal coordinates; MJX is imported when asked for."""
     if is_minimal:
         return MinimalStepper(robot, num_sims, num_threads=config.num_threads)
-    if config.backend == "mjx":
+    if config.backend != "mujoco":
         from qjrl.simulation.mjx_stepping import MjxStepper
 
-        return MjxStepper(robot, num_sims, config.timestep)
+        return MjxStepper(robot, num_sims, config.timestep, config.backend)
     return MujocoStepper(robot, num_sims, config.timestep, config.num_threads)

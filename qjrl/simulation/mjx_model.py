@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import importlib.util
 import io
 from collections.abc import Callable
 from typing import Any
@@ -11,6 +12,8 @@ import jax.numpy as jnp
 import mujoco
 from flax import struct
 
+from qjrl.config import ConfigError
+from qjrl.simulation.settle_problem import Backend
 from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
 
 with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where that is not installed
@@ -24,6 +27,7 @@ __all__ = [
     "balanced_step",
     "compile_batch",
     "load_arm",
+    "look",
     "mjx",
     "single_precision",
     "tip_pose",
@@ -82,22 +86,31 @@ class ArmState:
         return ArmState(data.qpos, data.qvel, self.strand_commands, data.qacc_warmstart)
 
 
-def load_arm(mjcf: str, strand_friction: float | None = None) -> MjxArm:
+def load_arm(mjcf: str, strand_friction: float | None = None, backend: Backend = "mjx") -> MjxArm:
     """An arm's model for MJX.
 
     Args:
         mjcf: of the arm, from `build_mjcf`.
         strand_friction: of all actuated tendons, instead of the MJCF's [N]. MJX makes friction rows only where this is
             above 0 here.
+        backend: "mjx" or "mjx-warp".
+
+    Raises:
+        ConfigError: Warp is not installed.
     """
+    implementation = "warp" if backend == "mjx-warp" else "jax"
+    if implementation == "warp" and importlib.util.find_spec("warp") is None:
+        raise ConfigError("simulation.backend: got mjx-warp, allowed: mujoco, mjx, until pip install 'qjrl[warp]'")
     host = mujoco.MjModel.from_xml_string(mjcf)
-    host.opt.iterations = SOLVER_ITERATIONS if strand_friction is None else FRICTION_ITERATIONS
-    host.opt.ls_iterations, host.opt.tolerance = LINE_SEARCH_ITERATIONS, SOLVER_TOLERANCE
+    host.opt.tolerance = SOLVER_TOLERANCE
+    if implementation == "jax":  # Warp stops arm by arm
+        host.opt.iterations = SOLVER_ITERATIONS if strand_friction is None else FRICTION_ITERATIONS
+        host.opt.ls_iterations = LINE_SEARCH_ITERATIONS
     host.dof_solimp[:, :2] = host.tendon_solimp_fri[:, :2] = FRICTION_IMPEDANCE
     if strand_friction is not None:
         host.tendon_frictionloss[: host.nu] = strand_friction
     with single_precision():
-        return MjxArm(host, mjx.put_model(host, impl="jax"), mjx.make_data(host, impl="jax"))
+        return MjxArm(host, mjx.put_model(host, impl=implementation), mjx.make_data(host, impl=implementation))
 
 
 def single_precision() -> contextlib.AbstractContextManager:
@@ -116,7 +129,9 @@ def compile_batch(function: Callable[..., Any], in_axes: tuple[int | None, ...],
 
 
 def balanced_step(model: mjx.Model, data: mjx.Data) -> mjx.Data:
-    """`mjx.step` of an implicitfast model, without the kicks that float32 gives it at rest, see `balanced`."""
+    """`mjx.step` of an implicitfast model, in JAX without the kicks that float32 gives it at rest, see `balanced`."""
+    if model.impl == mjx.Impl.WARP:
+        return mjx.step(model, data)
     return mjx.implicit(model, balanced(model, mjx.forward(model, data)))
 
 
@@ -128,6 +143,13 @@ def balanced(model: mjx.Model, data: mjx.Data) -> mjx.Data:
     resting arm at a mean of 0.04 rad/s every few dozen steps, 2.6e-3 rad/s on average. So 4e-5 rad/s are left.
     """
     return data.replace(qfrc_constraint=mjx.mul_m(model, data, data.qacc) - data.qfrc_smooth)
+
+
+def look(model: mjx.Model, data: mjx.Data) -> mjx.Data:
+    """One simulation with what its sensors show where it is: lengths, velocities, forces, the tip."""
+    if model.impl == mjx.Impl.WARP:  # has no parts of a step
+        return mjx.forward(model, data)
+    return mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))
 
 
 def tip_pose(data: mjx.Data, tip: int) -> jax.Array:

@@ -19,6 +19,7 @@ from qjrl.simulation.mjx_model import (
     balanced_step,
     compile_batch,
     load_arm,
+    look,
     mjx,
     single_precision,
     tip_pose,
@@ -74,7 +75,7 @@ def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advan
 @functools.lru_cache(maxsize=2)
 def _compile(mjcf: str, config: SettleConfig, size: int) -> _Compiled:
     """Once for all shards of a data set: it takes a minute."""
-    arm = load_arm(mjcf)
+    arm = load_arm(mjcf, backend=config.backend)
     zeros = lambda width: np.zeros((size, width), np.float32)  # noqa: E731
     counts = np.zeros(size, np.int32)
     state = ArmState(zeros(arm.host.nq), zeros(arm.host.nv), zeros(arm.host.nu), zeros(arm.host.nv))
@@ -111,7 +112,7 @@ def _move(config: SettleConfig, model: mjx.Model, home: mjx.Data, row: _Row) -> 
 
 
 def _look(tip: int, model: mjx.Model, home: mjx.Data, row: _Row) -> _Reading:
-    data = mjx.forward(model, row.state.placed_in(home))
+    data = look(model, row.state.placed_in(home))
     return _Reading(tip_pose(data, tip), data.actuator_force)
 
 

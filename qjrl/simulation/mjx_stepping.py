@@ -20,11 +20,13 @@ from qjrl.simulation.mjx_model import (
     balanced_step,
     compile_batch,
     load_arm,
+    look,
     mjx,
     single_precision,
     tip_pose,
 )
 from qjrl.simulation.payload import tip_body
+from qjrl.simulation.settle_problem import Backend
 from qjrl.simulation.stepping import PhysicalParameters, Readout, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
@@ -68,9 +70,9 @@ class _Measured:
 class MjxStepper:
     """`num_sims` simulations of one robot on JAX's default device; states lie on the host between calls."""
 
-    def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004):
+    def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004, backend: Backend = "mjx"):
         self.num_sims, self.timestep, self.num_strands, self._robot = num_sims, timestep, robot.num_strands, robot
-        self._arm = load_arm(build_mjcf(robot, SolverOptions(timestep=timestep)), strand_friction=1.0)
+        self._arm = load_arm(build_mjcf(robot, SolverOptions(timestep=timestep)), 1.0, backend)
         host = self._arm.host
         zeros = lambda width: np.zeros((num_sims, width), np.float32)  # noqa: E731
         self._state = ArmState(zeros(host.nq), zeros(host.nv), zeros(host.nu), zeros(host.nv))
@@ -182,7 +184,7 @@ def _advance(
     """One simulation `num_steps` time steps on, and what it shows there (site `tip`'s pose)."""
     model = _individual(model, physics)
     data = jax.lax.fori_loop(0, num_steps, lambda _, data: balanced_step(model, data), state.placed_in(home))
-    data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data)))  # what is seen there
+    data = look(model, data)
     seen = _Measured(data.ten_length, data._impl.ten_velocity, data.actuator_force, tip_pose(data, tip))
     return state.moved_to(data), seen
 

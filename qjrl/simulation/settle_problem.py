@@ -9,13 +9,16 @@ import numpy as np
 from qjrl.config import Range
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 
+Backend = Literal["mujoco", "mjx", "mjx-warp"]
+"""C MuJoCo on the CPU's cores; MJX, float32, for accelerators, in JAX's operations or in the kernels of NVIDIA's Warp."""
+
 
 @dataclasses.dataclass(frozen=True)
 class SettleConfig:
     """How to settle (group `simulation`). None of it moves the settled pose by more than 0.02 mm."""
 
-    backend: Literal["mujoco", "mjx"] = "mujoco"
-    """"mujoco": batches of C MuJoCo on the CPU's cores; "mjx": JAX, for accelerators (float32)."""
+    backend: Backend = "mujoco"
+    """The engine, see `Backend`."""
     timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
     """Time step [s]."""
     speed_tolerance: Annotated[float, Range(above=0.0, high=0.1)] = 1e-4

@@ -1,5 +1,8 @@
 """Settle: hold cable lengths in the physics until the arm rests, and read its pose and tensions."""
 
+import dataclasses
+from typing import get_args
+
 import jax
 import numpy as np
 from flax import struct
@@ -8,7 +11,7 @@ from qjrl.robot import bends_from_cables, configuration_from_joint_positions, jo
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.row_by_row import row_by_row
-from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
+from qjrl.simulation.settle_problem import Backend, RawSettled, SettleConfig, SettleProblem
 
 # Below this tension [N] a strand counts as slack.
 SLACK_TENSION = 0.01
@@ -60,23 +63,24 @@ def settle(
     Args:
         robot: the arm.
         cable_lengths: (n, num_cables) [m] relative to home, + pays out.
-        backend: "mujoco" or "mjx"; default: the config's.
+        backend: one of `Backend`; default: the config's.
         config: tolerances, limits and sizes; default `SettleConfig()`.
         advance: called with the number of newly settled rows (a progress bar).
     Raises:
         ValueError: wrong shape, non-finite lengths, unknown backend.
     """
     config = config or SettleConfig()
-    backend = backend or config.backend
-    if backend not in ("mujoco", "mjx"):
-        raise ValueError(f"backend: got {backend!r}, allowed: mujoco, mjx")
+    if backend is not None:
+        if backend not in get_args(Backend):
+            raise ValueError(f"backend: got {backend!r}, allowed: {', '.join(get_args(Backend))}")
+        config = dataclasses.replace(config, backend=backend)
     lengths = np.asarray(cable_lengths, dtype=np.float64)
     if lengths.ndim != 2 or lengths.shape[1] != robot.num_cables:
         raise ValueError(f"cable_lengths: got shape {lengths.shape}, allowed: (n, {robot.num_cables})")
     if not np.all(np.isfinite(lengths)):
         raise ValueError("cable_lengths: got non-finite values, allowed: finite lengths [m]")
     problem = nominal_problem(robot, lengths)
-    raw = _load_backend(backend)(robot, problem, config, advance or (lambda count: None))
+    raw = _load_backend(config.backend)(robot, problem, config, advance or (lambda count: None))
     return _describe(robot, raw)
 
 
@@ -97,9 +101,9 @@ def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
     return bends * jax.numpy.minimum(1.0, jax.numpy.sin(robot.bend_limit / 2.0) / norm)
 
 
-def _load_backend(name: str):
+def _load_backend(name: Backend):
     """MJX takes seconds to import: only when it is asked for."""
-    if name == "mjx":
+    if name != "mujoco":
         from qjrl.simulation.mjx_settle import settle_mjx
 
         return settle_mjx

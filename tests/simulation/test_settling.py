@@ -122,7 +122,7 @@ def test_wrong_lengths_are_refused(lengths, words):
 
 
 def test_an_unknown_backend_is_refused():
-    with pytest.raises(ValueError, match="backend: got 'bullet', allowed: mujoco, mjx"):
+    with pytest.raises(ValueError, match="backend: got 'bullet', allowed: mujoco, mjx, mjx-warp"):
         settle(ARM, np.zeros((1, 4)), backend="bullet")
 
 
@@ -131,6 +131,9 @@ def test_the_shipped_files_hold_the_defaults_and_name_their_engine():
     assert build(SettleConfig, read_yaml(folder / "mujoco.yaml"), "simulation") == SettleConfig()
     mjx = build(SettleConfig, read_yaml(folder / "mjx.yaml"), "simulation")
     assert mjx == dataclasses.replace(SettleConfig(), backend="mjx")
+    assert build(SettleConfig, read_yaml(folder / "mjx_warp.yaml"), "simulation") == dataclasses.replace(
+        mjx, backend="mjx-warp"
+    )
     names = {field.name for field in dataclasses.fields(SettleConfig)}
     assert all(read_yaml(path).keys() == names for path in folder.glob("*.yaml"))
 

@@ -40,7 +40,9 @@ class PPOConfig:
     max_gradient_norm: Annotated[float, Range(above=0)] = 1.0
     """Largest global gradient norm, of the actor and of the critic each, so that neither drowns the other."""
     learning_rate: Annotated[float, Range(above=0, high=1)] = 1e-3
-    """Of Adam, at the start."""
+    """Of Adam, at the start: the actor's, and the only one that the schedule moves."""
+    critic_learning_rate: Annotated[float, Range(above=0, high=1)] = 1e-3
+    """Of Adam for the critic. Ours, by itself: an actor that may hardly move needs a critic that follows all the same."""
     learning_rate_schedule: Literal["constant", "linear", "adaptive_kl"] = "adaptive_kl"
     """`linear` falls to 0 at the end; `adaptive_kl` follows `target_kl`, once an update (rsl_rl's rule)."""
     target_kl: Annotated[float, Range(above=0)] = 0.02

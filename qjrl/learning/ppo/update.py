@@ -26,6 +26,7 @@ class Learner:
     """{"policy", "value"}."""
     optimiser_state: Any
     learning_rate: Any
+    """The actor's."""
 
 
 def make_learner(config: PPOConfig, parameters: dict[str, Any]) -> Learner:
@@ -75,12 +76,13 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
 
 def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any]) -> Learner:
     """One step of Adam along the gradients of actor and critic, each clipped by its own global norm."""
-    rate = learner.learning_rate
     clip = optax.clip_by_global_norm(config.max_gradient_norm)
     clipped = {name: clip.update(part, optax.EmptyState())[0] for name, part in gradient.items()}
     direction, optimiser_state = optax.scale_by_adam().update(clipped, learner.optimiser_state)
-    parameters = jax.tree.map(lambda old, change: old - rate * change, learner.parameters, direction)
-    return Learner(parameters, optimiser_state, rate)
+    rates = {"policy": learner.learning_rate, "value": config.critic_learning_rate}
+    changes = jax.tree.map(lambda rate, part: jax.tree.map(lambda leaf: rate * leaf, part), rates, direction)
+    parameters = jax.tree.map(jnp.subtract, learner.parameters, changes)
+    return Learner(parameters, optimiser_state, learner.learning_rate)
 
 
 def adapted_rate(config: PPOConfig, rate: jax.Array, kl: jax.Array) -> jax.Array:

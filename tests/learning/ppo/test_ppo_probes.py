@@ -21,6 +21,7 @@ CONFIG = PPOConfig(
     discount=DISCOUNT,
     entropy_cost=0.0,
     learning_rate=3e-3,
+    critic_learning_rate=3e-3,
     actor_layers=(16,),
     critic_layers=(16,),
 )

@@ -124,9 +124,10 @@ def test_the_gradients_of_actor_and_critic_are_clipped_each_by_its_norm():
     assert np.asarray(learner.optimiser_state.mu["value"]) == pytest.approx([0.03, 0.04])
 
 
-def test_a_first_step_of_adam_is_the_rate_against_the_gradient():
-    zeros = {"policy": jnp.zeros(2, jnp.float32)}
-    gradient = {"policy": jnp.array([0.5, -0.2], jnp.float32)}
-    learner = gradient_step(CONFIG, make_learner(CONFIG, zeros), gradient)
-    rate = CONFIG.learning_rate
-    assert np.asarray(learner.parameters["policy"]) == pytest.approx([-rate, rate], rel=1e-4)
+def test_a_first_step_of_adam_is_the_rate_of_actor_or_critic_against_the_gradient():
+    config = dataclasses.replace(CONFIG, learning_rate=1e-4, critic_learning_rate=2e-3)
+    zeros = {"policy": jnp.zeros(2, jnp.float32), "value": jnp.zeros(1, jnp.float32)}
+    gradient = {"policy": jnp.array([0.5, -0.2], jnp.float32), "value": jnp.array([0.7], jnp.float32)}
+    learner = gradient_step(config, make_learner(config, zeros), gradient)
+    assert np.asarray(learner.parameters["policy"]) == pytest.approx([-1e-4, 1e-4], rel=1e-4)
+    assert np.asarray(learner.parameters["value"]) == pytest.approx([-2e-3], rel=1e-4)
