@@ -14,7 +14,7 @@ import time
 import traceback
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +34,7 @@ from qjrl.robot.model_fitting import fit_rows, settled_split
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.sampling import sample_rows
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settle_problem import Backend, SettleConfig
 from qjrl.simulation.settling import settle
 
 # Rows that both engines settle, to be compared one by one.
@@ -51,11 +51,11 @@ class Sizes:
     steps: int
 
 
-def against_c(robot: Robot, sizes: Sizes) -> dict[str, Any]:
+def against_c(robot: Robot, sizes: Sizes, backend: Backend) -> dict[str, Any]:
     """Distance between the tips that the same commands settle at in MJX, float32, and in C."""
     count = min(COMPARED, sizes.rows)
     mujoco = sample_rows(robot, SettleConfig(), 0, 0, count)
-    mjx = settle(robot, mujoco["cable_lengths"], config=SettleConfig(backend="mjx", batch_size=count))
+    mjx = settle(robot, mujoco["cable_lengths"], config=SettleConfig(backend=backend, batch_size=count))
     millimetres = 1e3 * np.linalg.norm(mujoco["pose"][:, :3] - np.asarray(mjx.pose)[:, :3], axis=1)
     both = mujoco["converged"] & np.asarray(mjx.converged)
     return {
@@ -66,9 +66,9 @@ def against_c(robot: Robot, sizes: Sizes) -> dict[str, Any]:
     }
 
 
-def settling(robot: Robot, sizes: Sizes) -> dict[str, Any]:
+def settling(robot: Robot, sizes: Sizes, backend: Backend) -> dict[str, Any]:
     """Settled rows a second in MJX; the second time, when all is compiled."""
-    config = SettleConfig(backend="mjx", batch_size=sizes.rows)
+    config = SettleConfig(backend=backend, batch_size=sizes.rows)
     lengths = sample_rows(robot, SettleConfig(max_time=0.1), 0, 0, sizes.rows)["cable_lengths"]
     once = lambda: settle(robot, lengths, config=config)  # noqa: E731
     first, _ = timed(once)
@@ -106,12 +106,13 @@ def solving(robot: Robot, sizes: Sizes) -> dict[str, Any]:
     }
 
 
-def training(robot: Robot, sizes: Sizes, engine: str) -> dict[str, Any]:
+def training(robot: Robot, sizes: Sizes, engine: Backend | Literal["minimal"]) -> dict[str, Any]:
     """Environment steps a second of PPO, learning included, in the paper's environment of so many arms."""
     config = environment_of(EnvironmentConfig(), "dither")
     targets = solve_target_set(robot, pose_function(robot, None), IKConfig(), "uniform", 512, 0)
     bank = bank_of(targets, "dither", np.arange(512))
-    stepper = make_stepper(robot, sizes.arms, SettleConfig(backend="mjx"), is_minimal=engine == "minimal")
+    simulation = SettleConfig() if engine == "minimal" else SettleConfig(backend=engine)
+    stepper = make_stepper(robot, sizes.arms, simulation, is_minimal=engine == "minimal")
     environment = ResidualEnvironment(robot, config, bank, stepper, 0)
     ppo = PPOConfig(num_steps=sizes.steps * 20 * sizes.arms, checkpoint_every=1000)
     with tempfile.TemporaryDirectory() as directory:
@@ -151,9 +152,12 @@ def main() -> None:
         "training, minimal coordinates": lambda: training(robot, sizes, "minimal"),
         "fitting": lambda: fitting(robot, sizes),
         "solving": lambda: solving(robot, sizes),
-        "MJX against C MuJoCo": lambda: against_c(robot, sizes),
-        "settling, MJX": lambda: settling(robot, sizes),
+        "MJX against C MuJoCo": lambda: against_c(robot, sizes, "mjx"),
+        "settling, MJX": lambda: settling(robot, sizes, "mjx"),
         "training, MJX": lambda: training(robot, sizes, "mjx"),
+        "MJX with Warp against C MuJoCo": lambda: against_c(robot, sizes, "mjx-warp"),
+        "settling, MJX with Warp": lambda: settling(robot, sizes, "mjx-warp"),
+        "training, MJX with Warp": lambda: training(robot, sizes, "mjx-warp"),
     }
     table: dict[str, Any] = {
         "robot": arguments.robot,
