@@ -176,7 +176,7 @@ def test_a_value_that_is_not_allowed_is_one_line_before_any_work(two_stages, tmp
         (["sample.num_sampels=3"], ["sample.num_sampels", "did you mean 'num_samples'"]),
         (["forward_model.network.width=wide"], ["forward_model.network.width: got 'wide'", "an integer"]),
         (["simulation.timestep=-0.1"], ["simulation.timestep: got -0.1"]),
-        (["simulation=bullet"], ["simulation", "'bullet'", "mjx, mujoco"]),
+        (["simulation=bullet"], ["simulation", "'bullet'", "mjx, mjx_warp, mujoco"]),
         (["stages=[forward_model]"], ["outputs/default/dataset", "run stages=[sample,forward_model]"]),
     ],
     ids=" ".join,
