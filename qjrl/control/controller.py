@@ -148,7 +148,7 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
     """
     state = dataclasses.replace(state, step=state.step + 1, reading=reading)
     deviation = state.reading - held_rotation_vectors(robot, state.command)
-    memory = remember(state.memory, deviation, state.step, waited(config, robot, state), config.control_period)
+    memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
     if not config.remembers:
         memory = jnp.broadcast_to(deviation, memory.shape)
     difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)

@@ -4,8 +4,9 @@ Each joint's encoders measure its bend as a rotation vector theta (cos phi, sin 
 segment bend alike, so their mean is the segment's estimate (our reading of the paper's "estimated bend angle and
 direction for each segment, derived via polynomial fitting"). The memory holds means of the readings' deviation from
 where the command would hold a perfect arm: it changes slowly while the command moves, so that it can be averaged for
-seconds, as the noise demands. Three means are exponential, two are plain: over all readings on the way, which tell how
-stiff the arm is and which way is down before it arrives, and over all since.
+seconds, as the noise demands. Three means are exponential, one is plain; when the arm has arrived all begin anew. What is
+read on the way lags behind the command by any delay of the motors, and a policy that had learnt to make use of it, without
+delays, was 5.8 times worse than its base with one of 40 ms.
 """
 
 import math
@@ -19,9 +20,9 @@ from qjrl.robot.quaternion_arm.joint import bend_angle
 
 # Time constants of the memory [s]; at 50 Hz they average about 10, 40 and 160 frames.
 TIME_CONSTANTS = (0.1, 0.4, 1.6)
-# The plain mean of what is read at the end begins this long after the arm has arrived [s].
+# The means of what is read at the end begin this long after the arm has arrived [s].
 SETTLING = 0.1
-MEMORY_SIZE = len(TIME_CONSTANTS) + 2
+MEMORY_SIZE = len(TIME_CONSTANTS) + 1
 
 
 def rotation_vectors(bends: jax.Array) -> jax.Array:
@@ -51,20 +52,19 @@ def read_encoders(
     return share[:, None] * rotation_vectors(bends) + deviation[:, None] * jax.random.normal(key, bends.shape)
 
 
-def remember(memory: jax.Array, deviation: jax.Array, step: jax.Array, waited: jax.Array, period: float) -> jax.Array:
-    """The memory (MEMORY_SIZE, segments, 2) one control period [s] later: exponential means, way, end.
+def remember(memory: jax.Array, deviation: jax.Array, waited: jax.Array, period: float) -> jax.Array:
+    """The memory (MEMORY_SIZE, segments, 2) one control period [s] later: exponential means, plain mean of the end.
+
+    A reading weighs as much as any of an exponential mean's before it until that has as many as its time constant holds.
 
     Args:
-        step: control steps since the start, at which the first reading filled the memory.
-        waited: time [s] since the base command is ramped in, 0 on the way; the mean of the end begins `SETTLING` later.
+        waited: time [s] since the base command is ramped in, 0 on the way; the means of the end begin `SETTLING` later.
     """
-    exponential = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS))
-    way = jnp.where(waited <= 0.0, 1.0 / (step + 1.0), 0.0)
-    end = 1.0 / readings_at_the_end(waited, period)
-    weights = jnp.concatenate([exponential, jnp.stack([way, end])])
-    return memory + weights[:, None, None] * (deviation - memory)
+    exponential, plain = 1.0 - jnp.exp(-period / jnp.array(TIME_CONSTANTS)), 1.0 / readings_at_the_end(waited, period)
+    begun = jnp.where(waited > 0.0, jnp.maximum(exponential, plain), exponential)
+    return memory + jnp.append(begun, plain)[:, None, None] * (deviation - memory)
 
 
 def readings_at_the_end(waited: jax.Array, period: float) -> jax.Array:
-    """How many readings the last of the memory's means holds, a time [s] after the base command is ramped in; at least 1."""
+    """How many readings the plain mean holds, a time [s] after the base command is ramped in; at least 1."""
     return jnp.maximum(waited - SETTLING, 0.0) / period + 1.0

@@ -68,28 +68,34 @@ def test_the_memory_weighs_a_reading_by_its_age():
     period, count = 0.02, 40
     readings = np.random.default_rng(0).normal(size=(count, 2, 2))
     memory = jnp.zeros((MEMORY_SIZE, 2, 2))
-    for step, reading in enumerate(readings):
-        memory = remember(memory, jnp.asarray(reading), jnp.asarray(step + 1), jnp.zeros(()), period)
+    for reading in readings:
+        memory = remember(memory, jnp.asarray(reading), jnp.zeros(()), period)
     ages = np.arange(count)[::-1] * period
     for constant, mean in zip(TIME_CONSTANTS, memory, strict=False):
         weights = (1.0 - np.exp(-period / constant)) * np.exp(-ages / constant)
         np.testing.assert_allclose(mean, np.einsum("t,tij->ij", weights, readings), atol=1e-6)
 
 
-def test_the_plain_means_are_those_of_all_readings_on_the_way_and_of_all_since_the_arm_has_settled():
+def test_when_the_arm_has_settled_all_means_begin_anew_and_nothing_read_before_is_left_in_them():
     period, arrival, count = 0.02, 10, 60
     settled = arrival + round(SETTLING / period)
     readings = np.random.default_rng(1).normal(size=(count, 2, 2))
+    readings[:arrival] += 1e3
     memory = jnp.broadcast_to(readings[0], (MEMORY_SIZE, 2, 2))
     for step, reading in enumerate(readings[1:], start=1):
-        waited = max((step - arrival) * period, 0.0)
-        memory = remember(memory, jnp.asarray(reading), jnp.asarray(step), jnp.asarray(waited), period)
-    assert settled < count - 10
-    np.testing.assert_allclose(memory[-2], readings[: arrival + 1].mean(axis=0), atol=1e-6)
-    np.testing.assert_allclose(memory[-1], readings[settled:].mean(axis=0), atol=1e-6)
+        memory = remember(memory, jnp.asarray(reading), jnp.asarray(max((step - arrival) * period, 0.0)), period)
+    since = readings[settled:]
+    assert len(since) > 10
+    np.testing.assert_allclose(memory[-1], since.mean(axis=0), atol=1e-5)
+    for constant, mean in zip(TIME_CONSTANTS, memory, strict=False):
+        expected = since[0]
+        for number, reading in enumerate(since[1:], start=2):
+            expected = expected + max(1.0 / number, 1.0 - np.exp(-period / constant)) * (reading - expected)
+        np.testing.assert_allclose(mean, expected, atol=1e-5)
+    np.testing.assert_allclose(memory[2], memory[-1], atol=1e-5)  # the slowest is still a plain mean
 
 
 def test_the_memory_of_what_never_changes_is_that():
     reading = jnp.array([[0.1, -0.2], [0.3, 0.0]])
     memory = jnp.broadcast_to(reading, (MEMORY_SIZE, 2, 2))
-    np.testing.assert_array_equal(remember(memory, reading, jnp.asarray(50), jnp.asarray(1.0), 0.02), memory)
+    np.testing.assert_array_equal(remember(memory, reading, jnp.asarray(1.0), 0.02), memory)
