@@ -21,7 +21,7 @@ import optax
 from qjrl.config import Range
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of
 from qjrl.learning.ppo.normaliser import Normaliser, update_normaliser
-from qjrl.learning.ppo.policy import Policy, deterministic_action
+from qjrl.learning.ppo.policy import Policy, deterministic_action, moderated
 from qjrl.learning.ppo.rollout import finite_rows
 
 # Steps for which a random action is held.
@@ -46,6 +46,9 @@ class ImitationConfig:
     """Rows of a gradient step."""
     learning_rate: Annotated[float, Range(above=0, high=1)] = 2e-3
     """Of Adam, in the first round; it falls to 0 along a cosine until the end of the last one."""
+    share: Annotated[float, Range(above=0, high=1)] = 1.0
+    """Of the fitted action that the actor is left with after the last round: a fit on few episodes says too much, most of all
+    about what it has not seen."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -86,6 +89,8 @@ def imitate(
     mean, std = statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]
     policy = dataclasses.replace(policy, mean=np.asarray(mean), std=np.asarray(std))
     policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
+    if number == config.rounds - 1:
+        policy = moderated(policy, config.share)
     return Imitated(policy, normaliser, observation, loss)
 
 

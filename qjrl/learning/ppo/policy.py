@@ -1,10 +1,12 @@
 """The trained policy by itself: what evaluation, comparison and export need, without the trainer and without brax."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from qjrl.learning.parameters import load_parameters, save_parameters
@@ -40,6 +42,15 @@ def deterministic_action(policy: Policy, observation: Any) -> jax.Array:
         layer = policy.layers[f"hidden_{index}"]
         hidden = (hidden if index == 0 else ACTIVATIONS[policy.activation](hidden)) @ layer["kernel"] + layer["bias"]
     return jnp.tanh(hidden[..., : hidden.shape[-1] // 2])
+
+
+def moderated(policy: Policy, share: float) -> Policy:
+    """The policy whose actions have `share` of the mean, before the tanh; its scales stay."""
+    name = f"hidden_{len(policy.layers) - 1}"
+    bias = np.asarray(policy.layers[name]["bias"])
+    factor = np.where(np.arange(len(bias)) < len(bias) // 2, share, 1.0).astype(np.float32)
+    last = {key: np.asarray(value) * factor for key, value in policy.layers[name].items()}
+    return dataclasses.replace(policy, layers={**policy.layers, name: last})
 
 
 def save_policy(path: str | Path, policy: Policy) -> None:

@@ -1,3 +1,5 @@
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -78,6 +80,21 @@ def test_the_actor_comes_to_do_what_is_advised():
     seen = np.stack([values, np.ones_like(values)], axis=1)
     np.testing.assert_allclose(deterministic_action(policy, seen)[:, 0], -0.5 * values, atol=0.05)
     assert loss < 0.05
+
+
+def test_after_the_last_round_the_actor_is_left_with_a_share_of_what_it_learnt():
+    seen = np.stack([np.linspace(-0.9, 0.9, 5), np.ones(5)], axis=1)
+
+    def before_tanh(number, share):
+        environment, config = DriftingEnvironment(), dataclasses.replace(IMITATION, share=share)
+        first = environment.reset(), initial_normaliser(environment.observation_sizes)
+        found = imitate(environment, config, number, untrained(environment), *first[::-1], 0, lambda steps: None)
+        return np.arctanh(deterministic_action(found.policy, seen))
+
+    last = IMITATION.rounds - 1
+    assert np.abs(before_tanh(last, 1.0)).max() > 0.1
+    np.testing.assert_allclose(before_tanh(last, 0.6), 0.6 * before_tanh(last, 1.0), rtol=1e-4, atol=1e-6)
+    np.testing.assert_array_equal(before_tanh(0, 0.6), before_tanh(0, 1.0))
 
 
 def interrupt_at(iteration):
