@@ -87,8 +87,9 @@ def test_after_the_last_round_the_actor_is_left_with_a_share_of_what_it_learnt()
 
     def before_tanh(number, share):
         environment, config = DriftingEnvironment(), dataclasses.replace(IMITATION, share=share)
-        first = environment.reset(), initial_normaliser(environment.observation_sizes)
-        found = imitate(environment, config, number, untrained(environment), *first[::-1], 0, lambda steps: None)
+        observation, normaliser = environment.reset(), initial_normaliser(environment.observation_sizes)
+        actor = untrained(environment)
+        found = imitate(environment, config, number, actor, normaliser, observation, 0, lambda steps: None)
         return np.arctanh(deterministic_action(found.policy, seen))
 
     last = IMITATION.rounds - 1
