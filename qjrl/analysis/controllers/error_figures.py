@@ -125,4 +125,8 @@ def _finish_cumulative(axes: Axes) -> None:
     logarithmic(axes, "x")
     axes.set_ylim(0.0, 101.0)
     axes.set_yticks([0, 25, 50, 75, 90, 100])
-    axes.legend(loc="upper left", handlelength=2.4)
+    figure = axes.get_figure()
+    assert figure is not None
+    figure.legend(
+        loc="outside lower center", ncols=2, fontsize=8.0, handlelength=2.4
+    )  # beside the curves there is no room
