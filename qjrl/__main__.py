@@ -13,6 +13,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,8 @@ def _job(outcomes: list[str]) -> Callable[[Any], str]:
         _prepare_process()
         run_dir = Path(os.path.relpath(HydraConfig.get().runtime.output_dir))
         overrides = list(HydraConfig.get().overrides.task)
-        with sweep.recorded(run_dir, overrides) as record:
+        is_first = OmegaConf.select(cfg, "processes.index") in (None, 0)  # of several processes one keeps the record
+        with sweep.recorded(run_dir, overrides) if is_first else nullcontext({"status": ""}) as record:
             tree = OmegaConf.to_container(cfg, resolve=True)
             together = _directory_of_all_parts(run_dir, Path(HydraConfig.get().sweep.dir))
             record["status"], record["error"] = _run(tree, together)  # pyright: ignore[reportArgumentType]
@@ -136,6 +138,7 @@ def _run(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
     """Runs the stages. Returns the status and the line that explains it, already printed."""
     try:
         names = pipeline.selected(tree)
+        pipeline.meet(tree)
         progress.console.print(f"{', '.join(names)} -> {run_dir}", markup=False)
         pipeline.run(names, pipeline.build_configs(tree), run_dir)
     except (ConfigError, ArtifactError) as error:

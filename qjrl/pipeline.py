@@ -8,10 +8,10 @@ What a stage is, and when one runs again: `stage`.
 import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from qjrl.config import ConfigError, build, known_names, unknown_key
-from qjrl.stage import Stage, alone_in, robot_hash_of, run_part, run_stage
+from qjrl.config import ConfigError, Range, build, known_names, unknown_key
+from qjrl.stage import Stage, alone_in, robot_hash_of, run_part, run_stage, run_together
 
 STAGES: dict[str, Stage] = {
     "sample": Stage("qjrl.stages.sample", "settle cable commands in MuJoCo and write the data set", writes="dataset"),
@@ -107,6 +107,27 @@ PART_KEYS = ("sample.shard",)
 """Keys that say which part of a stage a process makes: a sweep over them fills one run directory."""
 
 
+SHARED = ("policy",)
+"""Stages that several processes can run together."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ProcessesConfig:
+    """Processes, on as many machines, that run one stage together by JAX's distributed runtime."""
+
+    count: Annotated[int, Range(1, 100_000)] = 1
+    index: Annotated[int, Range(0, 100_000)] = 0
+    """Number of this one, from 0. The first alone writes; all read the stage's inputs."""
+    coordinator: str = ""
+    """HOST:PORT, on the first one's machine, at which they meet."""
+
+    def __post_init__(self) -> None:
+        if self.index >= self.count:
+            raise ValueError(f"index: got {self.index}, allowed: 0 to {self.count - 1}, below count")
+        if self.count > 1 and not all(self.coordinator.rpartition(":")[::2]):
+            raise ValueError(f"coordinator: got '{self.coordinator}', allowed: HOST:PORT, for a count of {self.count}")
+
+
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
     """The top-level keys that belong to the run and to no stage."""
@@ -115,6 +136,7 @@ class RunConfig:
     """Name of the directory of the run."""
     stages: tuple[str, ...]
     """Names of the stages to run, in any order."""
+    processes: ProcessesConfig = ProcessesConfig()
 
     def __post_init__(self) -> None:
         if not self.stages:
@@ -122,11 +144,23 @@ class RunConfig:
         for stage in self.stages:
             if stage not in STAGES:
                 raise ConfigError(f"stages: got '{stage}', {known_names(stage, STAGES)}")
+        if self.processes.count > 1 and (len(self.stages) != 1 or self.stages[0] not in SHARED):
+            allowed = " or ".join(f"[{name}]" for name in SHARED)
+            raise ConfigError(f"stages: got [{','.join(self.stages)}], allowed: {allowed} alone, by several processes")
 
 
 def selected(tree: Mapping[str, Any]) -> list[str]:
     """The stages that a configuration asks for, each once, in the order of the data flow."""
     return in_order(build(RunConfig, _part(tree, RunConfig)).stages)
+
+
+def meet(tree: Mapping[str, Any]) -> None:
+    """Joins the other processes of the run, if there are any, before JAX looks for devices."""
+    config = build(RunConfig, _part(tree, RunConfig)).processes
+    if config.count > 1:
+        import jax
+
+        jax.distributed.initialize(config.coordinator, config.count, config.index)
 
 
 def in_order(names: Iterable[str]) -> list[str]:
@@ -151,6 +185,10 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
                 f"stages: got [{','.join(ordered)}], allowed: [{shared[0]}] alone to make part {only} of it"
             )
         return run_part(STAGES, shared[0], configs[shared[0]], run_dir)
+    from qjrl.learning import processes
+
+    if processes.are_several():
+        return run_together(STAGES, ordered[0], configs[ordered[0]], run_dir)
     with alone_in(run_dir):
         for name in ordered:
             config = configs[name]

@@ -79,6 +79,20 @@ def run_part(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
             run_stage(stages, name, config.whole(), run_dir)
 
 
+def run_together(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
+    """A stage that several processes run together: the first as `run_stage` does, the others write nothing."""
+    from qjrl.learning import processes
+
+    if not processes.is_first():
+        if not processes.of_first(False):
+            stages[name].load().run(config, _inputs(stages, name, run_dir), run_dir / stages[name].writes)
+        return
+    with alone_in(run_dir):
+        done = run_dir / stages[name].writes / artifacts.DONE
+        processes.of_first(_same(done, _identity(stages, name, config, run_dir)))
+        run_stage(stages, name, config, run_dir)
+
+
 def run_stage(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
     """Run a stage of a data flow; what is done and unchanged is skipped, what was interrupted goes on."""
     label, out = name, run_dir / stages[name].writes

@@ -239,3 +239,20 @@ def test_the_data_flow_reads_only_what_stages_before_it_write() -> None:
     for name, stage in pipeline.STAGES.items():
         assert all(names.index(source) < names.index(name) for source in stage.reads)
     assert len({stage.writes for stage in pipeline.STAGES.values()}) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("stages", "processes", "message"),
+    [
+        (
+            ["sample"],
+            {"count": 2, "coordinator": "host:1"},
+            r"^stages: got \[sample\], allowed: \[policy\] alone, by several",
+        ),
+        (["policy"], {"count": 2}, r"^processes\.coordinator: got '', allowed: HOST:PORT, for a count of 2"),
+        (["policy"], {"count": 2, "index": 2, "coordinator": "host:1"}, r"^processes\.index: got 2, allowed: 0 to 1"),
+    ],
+)
+def test_processes_that_cannot_run_a_stage_together_are_one_line(stages, processes, message) -> None:
+    with pytest.raises(ConfigError, match=message):
+        pipeline.selected({"name": "x", "stages": stages, "processes": processes})

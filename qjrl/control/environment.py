@@ -32,7 +32,8 @@ class ResidualEnvironment:
 
     With `rows=None` every episode draws a row of the bank at random, and the first episodes are cut short at random
     lengths so that the arms are spread over all phases of an episode. With `rows` arm i reaches row rows[i] of the
-    bank, its parameters and noise a function of (seed, rows[i]) alone: the same for every controller.
+    bank, its parameters and noise a function of (seed, rows[i]) alone: the same for every controller. `first` is the number
+    of the first arm, where others are somewhere else: what is drawn depends on an arm's number.
     """
 
     def __init__(
@@ -43,10 +44,12 @@ class ResidualEnvironment:
         stepper: Stepper,
         seed: int,
         rows: np.ndarray | None = None,
+        first: int = 0,
     ):
         self.num_envs, self.action_size = stepper.num_sims, action_size(config.residual, robot)
         self.gives_advice = True
-        self._robot, self._bank, self._stepper, self._rows, self._seed = robot, bank, stepper, rows, seed
+        self._robot, self._bank, self._stepper, self._rows = robot, bank, stepper, rows
+        self._seed, self._first = seed, first
         self._substeps = max(1, round(config.control_period / stepper.timestep))
         self._believed = priors(config.estimate, robot, bank.base_lengths)
         self._compiled = _compile(config)
@@ -59,7 +62,7 @@ class ResidualEnvironment:
         count = np.arange(self.num_envs)
         rows = np.full(self.num_envs, -1) if self._rows is None else np.asarray(self._rows)
         keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(self._seed if seed is None else seed)))(
-            jnp.asarray(count if self._rows is None else rows)
+            jnp.asarray(self._first + count if self._rows is None else rows)
         )
         is_first = np.full(self.num_envs, self._rows is None and is_spread)
         begun = self._compiled.begin(self._robot, self._bank, self._believed, keys, rows, is_first)

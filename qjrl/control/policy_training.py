@@ -17,8 +17,9 @@ from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
+from qjrl.learning import processes
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.iteration import Record
+from qjrl.learning.ppo.iteration import Record, num_copies
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.learning.tensorboard import tensorboard
@@ -47,7 +48,7 @@ class PolicyConfig:
     """What the policy trains in: the engine of group `simulation`, or the arm's own equations in minimal coordinates, which
     are several times quicker on a CPU. Stage `compare` judges it in the engine of `simulation`."""
     num_envs: Annotated[int, Range(2, 1_000_000)] = 512
-    """Arms stepped together; the paper has 2048 on a GPU."""
+    """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
     num_judged: Annotated[int, Range(1, 100_000)] = 128
     """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
     tensorboard: bool = False
@@ -73,8 +74,12 @@ def train_policy(
     Args:
         targets: columns of `ik/bank.npz`. The last `num_judged` rows of each set that arrive in time are set apart.
     Raises:
-        ConfigError: the bank has too few targets.
+        ConfigError: the bank has too few targets, or the processes cannot share the arms.
     """
+    if config.num_envs % jax.device_count():
+        raise ConfigError(
+            f"policy.num_envs: got {config.num_envs}, allowed: a multiple of the {jax.device_count()} devices of all processes"
+        )
     rows = rows_in_time(robot, config.environment, targets, [command_column(config.base)])
     for name, found in rows.items():
         if len(found) <= config.num_judged:
@@ -87,8 +92,10 @@ def train_policy(
     is_minimal = config.engine == "minimal"
     judge_stepper = make_stepper(robot, len(judged), simulation, is_minimal)
     judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
-    stepper = make_stepper(robot, config.num_envs, simulation, is_minimal)
-    environment = ResidualEnvironment(robot, of_base, bank_of(targets, config.base, trained_on), stepper, seed)
+    own = processes.own_rows(config.num_envs)
+    stepper = make_stepper(robot, own.stop - own.start, simulation, is_minimal)
+    bank = bank_of(targets, config.base, trained_on)
+    environment = ResidualEnvironment(robot, of_base, bank, stepper, seed, first=own.start)
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     with ExitStack() as stack:
         callbacks = [_bare_rates(environment, directory / BARE_RATES)]
@@ -117,7 +124,8 @@ def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
 
 def _bare_rates(environment: ResidualEnvironment, path: Path) -> Callable[[Record], None]:
     """A callback that measures, at every checkpoint, control steps a second of the same randomised arms without sensors,
-    rewards or learning: between the iterations that it is compared with, as a machine's speed varies."""
+    rewards or learning: between the iterations that it is compared with, as a machine's speed varies. Of several processes
+    the first measures, and is taken for all."""
 
     def measure(record: Record) -> None:
         if "evaluation/median_mm" not in record:
@@ -127,7 +135,7 @@ def _bare_rates(environment: ResidualEnvironment, path: Path) -> Callable[[Recor
         start = time.perf_counter()
         for _ in range(_BARE_STEPS):
             environment.step_physics()
-        rate = _BARE_STEPS * environment.num_envs / (time.perf_counter() - start)
+        rate = _BARE_STEPS * num_copies(environment) / (time.perf_counter() - start)
         environment.set_state(before)
         append_json_line(path, {"env_steps": record["env_steps"], "bare_steps_per_second": rate})
 

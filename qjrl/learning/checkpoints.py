@@ -1,6 +1,7 @@
 """Training states on disk, by orbax: the latest one to go on from, and the best one to use.
 
-A checkpoint is a directory that appears in one rename, so an interruption leaves the one before it.
+A checkpoint is a directory that appears in one rename, so an interruption leaves the one before it. Of several processes of
+JAX's distributed runtime the first alone writes and reads, arrays of its own.
 """
 
 import io
@@ -41,6 +42,10 @@ def open_checkpoints(directory: Path, identity: str, minimise: str | None = None
         preservation_policy=AnyPreservationPolicy(policies),
         enable_async_checkpointing=False,
         cleanup_tmp_directories=True,
+        create=False,  # `_check_identity` did; orbax would wait for the other processes
+        multiprocessing_options=ocp.options.MultiprocessingOptions(
+            primary_host=0, active_processes={0}, barrier_sync_key_prefix="first"
+        ),
         **ranking,
     )
     return ocp.CheckpointManager(directory.absolute(), options=options)

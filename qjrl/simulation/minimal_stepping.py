@@ -88,21 +88,21 @@ class MinimalStepper:
         return Readout(**fields, is_finite=~self._has_failed)
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything that a bitwise continuation needs."""
-        state = {field.name: np.array(getattr(self._state, field.name)) for field in dataclasses.fields(self._state)}
-        return state | {
-            "commands": self._commands.copy(),
+        """Everything that a bitwise continuation needs, a row for each simulation."""
+        moving = vars(self._state) | {"commands": self._commands}
+        return {
+            **{name: np.moveaxis(values, -1, 0).copy() for name, values in moving.items()},
             "has_failed": self._has_failed.copy(),
-            **{name: values.copy() for name, values in self._parameters.arrays().items()},
+            **self._parameters.arrays(),
         }
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Go back to what `get_state` returned."""
         self._parameters.assign(np.arange(self.num_sims), state)
         self._physics = _physics_of(self._robot, self._parameters)
-        fields = dataclasses.fields(MinimalState)
-        self._state = MinimalState(**{field.name: np.array(state[field.name]) for field in fields})
-        self._commands, self._has_failed = np.array(state["commands"]), np.array(state["has_failed"])
+        moving = {name: np.moveaxis(state[name], 0, -1).copy() for name in (*vars(self._state), "commands")}
+        self._commands, self._has_failed = moving.pop("commands"), np.array(state["has_failed"])
+        self._state = MinimalState(**moving)
         self._seen = None
 
     def _in_blocks(self, function, state: MinimalState, commands: np.ndarray):

@@ -104,7 +104,7 @@ class Stepper(Protocol):
         ...
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything that a bitwise continuation needs."""
+        """Everything that a bitwise continuation needs, a row for each simulation."""
         ...
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:

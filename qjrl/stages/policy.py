@@ -8,6 +8,7 @@ import numpy as np
 
 from qjrl import artifacts
 from qjrl.control.policy_training import BARE_RATES, PolicyConfig, train_policy
+from qjrl.learning import processes
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -27,6 +28,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot = robot_from_mapping(config.robot)
     targets = artifacts.load(inputs["ik"] / "bank.npz")
     trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
+    if not processes.is_first():
+        return
     records = artifacts.load(out / "progress.jsonl")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     bare_rate = float(np.median([record["bare_steps_per_second"] for record in artifacts.load(out / BARE_RATES)]))

@@ -18,6 +18,7 @@ from worlds import (
 from qjrl.config import ConfigError, build
 from qjrl.control import motors
 from qjrl.control.bases import BASES, environment_of
+from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.motors import DitherConfig
 from qjrl.control.observations import ACTION_HISTORY
@@ -28,6 +29,7 @@ from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv, advice_of
 from qjrl.learning.ppo.iteration import compile_functions
 from qjrl.learning.ppo.training_state import initial_state, policy_of
+from qjrl.simulation.stepping import MujocoStepper
 
 PERIOD = CONFIG.control_period
 
@@ -324,3 +326,13 @@ def test_the_scored_time_is_whole_control_steps():
     assert EnvironmentConfig().scored_steps == 25
     assert dataclasses.replace(CONFIG, scored_time=0.05).scored_steps == 3
     assert CONFIG.scored_steps == 3
+
+
+def test_arms_in_two_halves_are_those_of_one_whole():
+    def reset(num_envs, first):
+        world = ResidualEnvironment(ARM, CONFIG, bank(), MujocoStepper(ARM, num_envs), 0, first=first)
+        return world.get_state()
+
+    whole, halves = reset(4, 0), [reset(2, 0), reset(2, 2)]
+    for name, values in whole.items():
+        np.testing.assert_allclose(np.concatenate([half[name] for half in halves]), values, atol=1e-12, err_msg=name)

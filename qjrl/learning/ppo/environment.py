@@ -66,7 +66,8 @@ class VectorEnv(Protocol):
         ...
 
     def get_state(self) -> dict[str, np.ndarray]:
-        """Everything a bitwise resume needs, random state included: a flat dict of numeric numpy arrays."""
+        """Everything a bitwise resume needs, random state included: a flat dict of numeric numpy arrays, each with a row for
+        each copy where several processes train (`processes.gathered`)."""
         ...
 
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:

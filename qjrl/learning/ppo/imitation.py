@@ -10,6 +10,7 @@ best guess that its sensors allow.
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -19,8 +20,10 @@ import numpy as np
 import optax
 
 from qjrl.config import Range
+from qjrl.learning import processes
+from qjrl.learning.divergence import Evidence
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of
-from qjrl.learning.ppo.normaliser import Normaliser, update_normaliser
+from qjrl.learning.ppo.normaliser import Normaliser
 from qjrl.learning.ppo.policy import Policy, deterministic_action, moderated
 from qjrl.learning.ppo.rollout import finite_rows
 
@@ -56,61 +59,89 @@ class Imitated:
     """What the next round goes on from, or PPO."""
 
     policy: Policy
+    """The actor; before the first round one whose deterministic action is zero."""
     normaliser: Normaliser
+    """Statistics of all rows so far."""
     observation: Observation
-    loss: float
+    """What the next action answers to."""
+    loss: float = math.nan
     """Mean distance from the advice in the last epoch; actions are in [-1, 1]."""
+    num_invalid: int = 0
+    """Steps of the round in which copies of this process diverged; what was seen before them is not imitated."""
+    diverged: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    """What is known of the first of them."""
 
 
 def imitate(
     environment: VectorEnv,
     config: ImitationConfig,
     number: int,
-    policy: Policy,
-    normaliser: Normaliser,
-    observation: Observation,
+    before: Imitated,
+    take_in: Callable[..., Normaliser],
     seed: int,
     advance: Callable[[int], None],
 ) -> Imitated:
-    """Round `number`, from 0: acts and fits; the environment is stepped on from where it is.
+    """Round `number`, from 0: acts and fits; the environment is stepped on from where it is. Of several processes each acts
+    with its own copies, and all fit the same to the rows of all.
 
     Args:
-        policy: the actor of the round before; for the first an actor whose deterministic action is zero.
-        normaliser: statistics of all rows so far.
-        observation: what the first action answers to.
+        before: what the round before returned.
+        take_in: `normaliser.update_normaliser`, compiled, for the rows of all processes.
         advance: called with the number of environment steps made.
     """
     random = np.random.default_rng([seed, number])
     deviation = config.exploration * (1.0 if number == 0 else 0.1)
-    normaliser, rows, observation = _act(
-        environment, config, policy, normaliser, observation, deviation, random, advance
-    )
-    statistics: Any = normaliser
+    acted = _act(environment, config, before, take_in, deviation, random, advance)
+    statistics: Any = acted.normaliser
     mean, std = statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]
-    policy = dataclasses.replace(policy, mean=np.asarray(mean), std=np.asarray(std))
+    policy = dataclasses.replace(before.policy, mean=np.asarray(mean), std=np.asarray(std))
+    rows = _finite_of_all(acted.kept)
     policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
     if number == config.rounds - 1:
         policy = moderated(policy, config.share)
-    return Imitated(policy, normaliser, observation, loss)
+    return Imitated(policy, acted.normaliser, acted.observation, loss, acted.num_invalid, acted.evidence.arrays())
 
 
-def _act(environment, config: ImitationConfig, policy, normaliser, observation, deviation: float, random, advance):
-    """The statistics with the rows kept, those rows (observations, advice), and the last observation."""
-    take_in, act, kept = jax.jit(update_normaliser), jax.jit(deterministic_action), []
-    shape = (environment.num_envs, environment.action_size)
-    noise = np.zeros(shape, np.float32)
+@dataclasses.dataclass
+class _Acted:
+    """What was seen while acting."""
+
+    normaliser: Normaliser
+    observation: Observation
+    kept: list[tuple[np.ndarray, ...]]
+    """Of every step that is kept, for all copies: observations, advice, which are finite and valid."""
+    num_invalid: int
+    evidence: Evidence
+
+
+def _act(environment, config: ImitationConfig, before: Imitated, take_in, deviation: float, random, advance) -> _Acted:
+    act = jax.jit(deterministic_action)
+    num_copies = environment.num_envs * jax.process_count()
+    own, noise = processes.own_rows(num_copies), np.zeros(0)
+    acted = _Acted(before.normaliser, before.observation, [], 0, Evidence())
     for step in range(config.steps):
         if step % _HELD == 0:
-            noise = random.normal(0.0, deviation, shape).astype(np.float32)
-        observation, is_finite = finite_rows(observation)
+            noise = random.normal(0.0, deviation, (num_copies, environment.action_size)).astype(np.float32)[own]
+        observation, is_sound = finite_rows(acted.observation)
+        actions = np.clip(np.asarray(act(before.policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
+        transition = environment.step(actions)
+        is_sound &= np.asarray(transition.valid)
         if step % config.every == 0:
-            normaliser = take_in(normaliser, _with_time(observation), is_finite[None])
+            acted.normaliser = take_in(acted.normaliser, _with_time(observation), is_sound[None])
             advice = np.asarray(advice_of(observation, environment.action_size))
-            kept.append((observation[ACTOR_KEY][is_finite], advice[is_finite]))
-        actions = np.clip(np.asarray(act(policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
-        observation = environment.step(actions).observation
-        advance(environment.num_envs)
-    return normaliser, tuple(np.concatenate(columns) for columns in zip(*kept, strict=True)), observation
+            acted.kept.append((observation[ACTOR_KEY], advice, is_sound))
+        acted.num_invalid += int(np.sum(~is_sound))
+        acted.evidence.add(transition.diverged, step)
+        acted.observation = transition.observation
+        advance(num_copies)
+    return acted
+
+
+def _finite_of_all(kept: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray]:
+    """(observations, advice) of the copies of all processes, step by step, of the rows that are sound."""
+    by_copy = processes.gathered(tuple(np.stack(column, axis=1) for column in zip(*kept, strict=True)))
+    observations, advice, is_sound = (np.swapaxes(column, 0, 1) for column in by_copy)
+    return observations[is_sound], advice[is_sound]
 
 
 def _with_time(observation: Observation) -> dict[str, Any]:

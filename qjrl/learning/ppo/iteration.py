@@ -11,12 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from qjrl.learning import processes
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo import sharding
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.imitation import imitate
+from qjrl.learning.ppo.imitation import Imitated, imitate
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
 from qjrl.learning.ppo.normaliser import update_normaliser
 from qjrl.learning.ppo.rollout import Collected, Rollout, collect, make_act
@@ -67,7 +68,7 @@ def _compile_functions(config: PPOConfig, sizes: tuple[tuple[str, int], ...], ac
 def run_iteration(
     session: Session, compiled: Compiled, config: PPOConfig, num_iterations: int
 ) -> tuple[Session, Record]:
-    """Collects one rollout and learns from it.
+    """Collects one rollout and learns from it; of several processes each collects its own, and all learn the same.
 
     Returns:
         The session after it, and its record for the log.
@@ -92,7 +93,7 @@ def run_iteration(
 
 
 def run_imitation(
-    session: Session, config: PPOConfig, seed: int, advance: Callable[[int], None]
+    session: Session, compiled: Compiled, config: PPOConfig, seed: int, advance: Callable[[int], None]
 ) -> tuple[Session, Record]:
     """One round of imitation as an iteration, before those of PPO.
 
@@ -100,23 +101,32 @@ def run_imitation(
         advance: called with the number of environment steps made: a round takes a minute.
     Returns:
         The session after it, and its record for the log.
+    Raises:
+        TrainingDiverged: too many invalid steps.
     """
     start, state, environment = time.perf_counter(), session.state, session.environment
-    actor, number = policy_of(state, config), int(state.iteration)
-    found = imitate(environment, config.imitation, number, actor, state.normaliser, session.observation, seed, advance)
+    before = Imitated(policy_of(state, config), state.normaliser, session.observation)
+    found = imitate(
+        environment, config.imitation, int(state.iteration), before, compiled.update_normaliser, seed, advance
+    )
+    num_steps = config.imitation.steps * num_copies(environment)
+    record = _validity(num_steps - int(processes.total(found.num_invalid)), num_steps)
+    _check_validity(record, int(state.iteration) + 1, config, found.diverged)
     parameters = state.learner.parameters | {"policy": {"params": jax.tree.map(jnp.asarray, found.policy.layers)}}
     state = dataclasses.replace(
         state,
         learner=dataclasses.replace(state.learner, parameters=parameters),
         normaliser=found.normaliser,
         iteration=state.iteration + jnp.int32(1),
-        env_steps=state.env_steps + jnp.uint32(config.imitation.steps * environment.num_envs),
+        env_steps=state.env_steps + jnp.uint32(num_steps),
     )
-    record = {
+    seconds = time.perf_counter() - start
+    record |= {
         "iteration": int(state.iteration),
         "env_steps": int(state.env_steps),
         "imitation_loss": found.loss,
-        "imitation_seconds": round(time.perf_counter() - start, 2),
+        "imitation_seconds": round(seconds, 2),
+        "imitation_steps_per_second": round(num_steps / seconds, 1),
     }
     state = jax.device_put(state, jax.local_devices()[0])
     episodes = EpisodeLog(environment.num_envs)
@@ -163,7 +173,7 @@ def _learn(
         learner=learner,
         normaliser=updated,
         iteration=state.iteration + jnp.int32(1),
-        env_steps=state.env_steps + jnp.uint32(collected.rollout.reward.size),
+        env_steps=state.env_steps + jnp.uint32(collected.rollout.reward.size * jax.process_count()),
     )
     return state, losses
 
@@ -181,10 +191,20 @@ def value_of_cut_off(value: Callable[..., Any], normaliser: Any, parameters: Any
     return values
 
 
+def num_copies(environment: VectorEnv) -> int:
+    """Copies of the environment in all processes."""
+    return environment.num_envs * jax.process_count()
+
+
 def _reward_record(rollout: Rollout) -> Record:
-    num_valid, num_steps = int(rollout.valid.sum()), rollout.valid.size
-    reward = float(rollout.reward.sum(dtype=np.float64)) / num_valid if num_valid else None
-    return {"reward": reward, "invalid": num_steps - num_valid, "invalid_fraction": 1 - num_valid / num_steps}
+    """Over the rollouts of all processes, so that all of them stop where one must."""
+    num_valid, num_steps = int(processes.total(rollout.valid.sum())), rollout.valid.size * jax.process_count()
+    reward = processes.total(rollout.reward.sum(dtype=np.float64)) / num_valid if num_valid else None
+    return {"reward": reward} | _validity(num_valid, num_steps)
+
+
+def _validity(num_valid: int, num_steps: int) -> Record:
+    return {"invalid": num_steps - num_valid, "invalid_fraction": 1 - num_valid / num_steps}
 
 
 def _check_validity(record: Record, iteration: int, config: PPOConfig, diverged: dict[str, np.ndarray]) -> None:
@@ -205,7 +225,7 @@ def _check_losses(record: Record, iteration: int) -> None:
 def _times(total: float, collecting: float, collected: Collected) -> Record:
     """Where the time of an iteration went, in seconds; `act` is what collecting took beside the environment."""
     return {
-        "steps_per_second": round(collected.rollout.reward.size / total, 1),
+        "steps_per_second": round(collected.rollout.reward.size * jax.process_count() / total, 1),
         "environment_seconds": round(collected.environment_seconds, 4),
         "act_seconds": round(collecting - collected.environment_seconds, 4),
         "learning_seconds": round(total - collecting, 4),

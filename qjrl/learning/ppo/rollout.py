@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,12 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from qjrl.learning import processes
+from qjrl.learning.divergence import Evidence
 from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Observation, Transition, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
-
-# Of the steps in which copies diverge the first ones show the cause; the others are only counted.
-_MOST_STEPS_KEPT = 20
 
 
 @struct.dataclass
@@ -71,8 +70,9 @@ def make_act(networks: PPONetworks) -> Callable[[Any, Any, Any, jax.Array, Any],
     def act(parameters: Any, normaliser: Any, observation: Any, key: jax.Array, step: Any) -> Action:
         logits = networks.policy_network.apply(normaliser, parameters, {ACTOR_KEY: observation})
         normal = distribution.create_dist(logits)
-        # By hand, because brax's own sampling is float64 under x64.
-        noise = jax.random.normal(jax.random.fold_in(key, step), normal.loc.shape, jnp.float32)
+        # By hand, because brax's own sampling is float64 under x64; by the row among those of all processes.
+        shape = (normal.loc.shape[0] * jax.process_count(), *normal.loc.shape[1:])
+        noise = jax.random.normal(jax.random.fold_in(key, step), shape, jnp.float32)[processes.own_rows(shape[0])]
         raw_action = normal.loc + normal.scale * noise
         log_probability = distribution.log_prob(logits, raw_action)
         return Action(distribution.postprocess(raw_action), raw_action, logits, log_probability)
@@ -95,7 +95,7 @@ def collect(
     """
     rollout = _empty(environment, num_steps)
     finite = np.ones((num_steps + 1, environment.num_envs), bool)
-    final_rows, diverged, seconds = [], [], 0.0
+    final_rows, evidence, seconds = [], Evidence(), 0.0
     for step in range(num_steps):
         observation, finite[step] = finite_rows(observation)
         action = act(observation[ACTOR_KEY], step)
@@ -106,8 +106,7 @@ def collect(
         seconds += time.perf_counter() - start
         _write_outcome(rollout, step, transition)
         final_rows.append(_cut_off(rollout, step, transition))
-        if transition.diverged and len(diverged) < _MOST_STEPS_KEPT:
-            diverged.append(_with_step(transition.diverged, step))
+        evidence.add(transition.diverged, step)
         episodes.add(transition)
         observation = transition.observation
     observation, finite[num_steps] = finite_rows(observation)
@@ -115,8 +114,8 @@ def collect(
     rollout.valid[:] &= finite[:-1] & (finite[1:] | rollout.terminated | rollout.truncated)
     rollout.reward[~rollout.valid] = 0
     places = np.nonzero(rollout.truncated)
-    evidence = {name: np.concatenate([one[name] for one in diverged]) for name in diverged[0]} if diverged else {}
-    return Collected(rollout, observation, np.concatenate(final_rows), (places[0], places[1]), seconds, evidence)
+    rows = np.concatenate(final_rows)
+    return Collected(rollout, observation, rows, (places[0], places[1]), seconds, evidence.arrays())
 
 
 def finite_rows(observation: Observation) -> tuple[Observation, np.ndarray]:
@@ -166,12 +165,6 @@ def _write_outcome(rollout: Rollout, step: int, transition: Transition) -> None:
     rollout.terminated[step] = transition.terminated
     rollout.truncated[step] = np.asarray(transition.truncated) & ~rollout.terminated[step]
     rollout.valid[step] = np.asarray(transition.valid) & np.isfinite(rollout.reward[step])
-
-
-def _with_step(diverged: Mapping[str, np.ndarray], step: int) -> dict[str, np.ndarray]:
-    """The rows and the step of the rollout in which they diverged."""
-    count = len(next(iter(diverged.values())))
-    return {"rollout_step": np.full(count, step), **diverged}
 
 
 def _cut_off(rollout: Rollout, step: int, transition: Transition) -> np.ndarray:

@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
-from flax import struct
+from flax import serialization, struct
 
 from qjrl.learning import checkpoints as ckpt
+from qjrl.learning import processes
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv
 from qjrl.learning.ppo.episodes import EpisodeLog
@@ -68,25 +69,53 @@ def policy_of(state: TrainingState, config: PPOConfig) -> Policy:
     )
 
 
-def save_session(checkpoints: ocp.CheckpointManager, session: Session, metrics: dict[str, float | None] | None) -> None:
-    """Writes a checkpoint of both sides."""
+@struct.dataclass
+class Snapshot:
+    """A session as plain arrays on the host: the learner's, and the environment's of all processes."""
+
+    learner: dict[str, Any]
+    """`TrainingState` as nested dicts of arrays, its key as the numbers that it is made of."""
+    environment: dict[str, np.ndarray]
+    """PART/NAME -> array, of the environment, the observation and the episodes under way."""
+
+
+def snapshot(session: Session) -> Snapshot:
+    """What a checkpoint holds; all processes take it together."""
     parts = {
         "environment": session.environment.get_state(),
         "observation": session.observation,
         "episodes": session.episodes.get_state(),
     }
     flat = {f"{part}/{name}": np.asarray(array) for part, arrays in parts.items() for name, array in arrays.items()}
-    ckpt.save(checkpoints, int(session.state.iteration), session.state, metrics, flat)
+    learner = serialization.to_state_dict(_with_plain_key(session.state))
+    return Snapshot(jax.tree.map(np.asarray, learner), processes.gathered(flat))
 
 
-def restore_session(checkpoints: ocp.CheckpointManager, step: int, session: Session) -> Session:
-    """Both sides of a checkpoint; `session` gives the shapes, and its environment is set back in place."""
-    flat = ckpt.restore_environment(checkpoints, step)
+def restored(session: Session, found: Snapshot) -> Session:
+    """The session of a snapshot; this process's part of the environment's side is set back in place."""
     parts: dict[str, dict[str, Any]] = {"environment": {}, "observation": {}, "episodes": {}}
-    for name, array in flat.items():
+    for name, array in found.environment.items():
         part, _, rest = name.partition("/")
-        parts[part][rest] = array
+        parts[part][rest] = processes.own(array)
     session.environment.set_state(parts["environment"])
     session.episodes.set_state(parts["episodes"])
-    state = ckpt.restore(checkpoints, step, session.state)
+    state = serialization.from_state_dict(_with_plain_key(session.state), found.learner)
+    state = jax.tree.map(jnp.asarray, state)
+    state = jax.device_put(state.replace(key=jax.random.wrap_key_data(state.key)), jax.local_devices()[0])
     return dataclasses.replace(session, state=state, observation=parts["observation"])
+
+
+def write_snapshot(
+    checkpoints: ocp.CheckpointManager, found: Snapshot, metrics: dict[str, float | None] | None
+) -> None:
+    """Writes a checkpoint of both sides."""
+    ckpt.save(checkpoints, int(found.learner["iteration"]), found.learner, metrics, found.environment)
+
+
+def read_snapshot(checkpoints: ocp.CheckpointManager, step: int, like: Snapshot) -> Snapshot:
+    """Both sides of a checkpoint; `like` gives the learner's shapes."""
+    return Snapshot(ckpt.restore(checkpoints, step, like.learner), ckpt.restore_environment(checkpoints, step))
+
+
+def _with_plain_key(state: TrainingState) -> TrainingState:
+    return dataclasses.replace(state, key=jax.random.key_data(state.key))

@@ -3,18 +3,19 @@ import dataclasses
 import jax
 import numpy as np
 import pytest
+from drifting_environment import NUM_ENVS, DriftingEnvironment
 
 from qjrl.artifacts import load
+from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import Transition
-from qjrl.learning.ppo.imitation import ImitationConfig, imitate
+from qjrl.learning.ppo.imitation import Imitated, ImitationConfig, imitate
 from qjrl.learning.ppo.iteration import compile_functions
-from qjrl.learning.ppo.normaliser import initial_normaliser
+from qjrl.learning.ppo.normaliser import initial_normaliser, update_normaliser
 from qjrl.learning.ppo.policy import deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.learning.ppo.training_state import initial_state, policy_of
 
-NUM_ENVS = 32
+TAKE_IN = jax.jit(update_normaliser)
 IMITATION = ImitationConfig(rounds=2, steps=60, every=3, epochs=60, batch_size=128)
 CONFIG = PPOConfig(
     num_steps=4 * 5 * NUM_ENVS,
@@ -29,57 +30,25 @@ CONFIG = PPOConfig(
 )
 
 
-class DriftingEnvironment:
-    """A number drifts about and is pushed by the action; the advice is to push it back by half of what it is."""
-
-    num_envs, action_size, gives_advice = NUM_ENVS, 1, True
-
-    def __init__(self):
-        self.observation_sizes = {"state": 2, "privileged_state": 2}
-        self.key, self.value = np.zeros(1, np.int64), np.zeros(NUM_ENVS, np.float32)
-
-    def reset(self):
-        self.value = np.linspace(-1, 1, NUM_ENVS, dtype=np.float32)
-        return self._observation()
-
-    def step(self, actions):
-        self.key += 1
-        noise = np.random.default_rng(int(self.key[0])).uniform(-0.3, 0.3, NUM_ENVS)
-        self.value = np.clip(self.value + noise + 0.5 * np.asarray(actions)[:, 0], -1, 1).astype(np.float32)
-        observation, never = self._observation(), np.zeros(NUM_ENVS, bool)
-        return Transition(observation, -np.abs(self.value), never, never, observation, ~never)
-
-    def get_state(self):
-        return {"key": self.key.copy(), "value": self.value.copy()}
-
-    def set_state(self, state):
-        self.key, self.value = np.array(state["key"]), np.array(state["value"])
-
-    def _observation(self):
-        constant = np.ones(NUM_ENVS, np.float32)
-        return {
-            "state": np.stack([self.value, constant], axis=1),
-            "privileged_state": np.stack([constant, -0.5 * self.value], axis=1),
-        }
-
-
 def untrained(environment):
     compiled = compile_functions(CONFIG, environment)
     return policy_of(initial_state(compiled.initialise, CONFIG, environment, 0), CONFIG)
 
 
+def begun(environment):
+    return Imitated(untrained(environment), initial_normaliser(environment.observation_sizes), environment.reset())
+
+
 def test_the_actor_comes_to_do_what_is_advised():
-    environment = DriftingEnvironment()
-    observation, normaliser, loss = environment.reset(), initial_normaliser(environment.observation_sizes), np.nan
-    policy, made = untrained(environment), []
+    environment, made = DriftingEnvironment(), []
+    found = begun(environment)
     for number in range(IMITATION.rounds):
-        found = imitate(environment, IMITATION, number, policy, normaliser, observation, 0, made.append)
-        policy, normaliser, observation, loss = found.policy, found.normaliser, found.observation, found.loss
+        found = imitate(environment, IMITATION, number, found, TAKE_IN, 0, made.append)
     assert sum(made) == NUM_ENVS * int(environment.key[0]) == NUM_ENVS * IMITATION.rounds * IMITATION.steps
     values = np.linspace(-0.9, 0.9, 19, dtype=np.float32)
     seen = np.stack([values, np.ones_like(values)], axis=1)
-    np.testing.assert_allclose(deterministic_action(policy, seen)[:, 0], -0.5 * values, atol=0.05)
-    assert loss < 0.05
+    np.testing.assert_allclose(deterministic_action(found.policy, seen)[:, 0], -0.5 * values, atol=0.05)
+    assert found.loss < 0.05
 
 
 def test_after_the_last_round_the_actor_is_left_with_a_share_of_what_it_learnt():
@@ -87,9 +56,7 @@ def test_after_the_last_round_the_actor_is_left_with_a_share_of_what_it_learnt()
 
     def before_tanh(number, share):
         environment, config = DriftingEnvironment(), dataclasses.replace(IMITATION, share=share)
-        observation, normaliser = environment.reset(), initial_normaliser(environment.observation_sizes)
-        actor = untrained(environment)
-        found = imitate(environment, config, number, actor, normaliser, observation, 0, lambda steps: None)
+        found = imitate(environment, config, number, begun(environment), TAKE_IN, 0, lambda steps: None)
         return np.arctanh(deterministic_action(found.policy, seen))
 
     last = IMITATION.rounds - 1
@@ -133,3 +100,36 @@ def test_without_advice_there_is_no_imitation(tmp_path):
     environment.gives_advice = False
     with pytest.raises(ValueError, match=r"imitation\.rounds: got 2, allowed: 0"):
         train(environment, CONFIG, 0, tmp_path)
+
+
+class BreakingEnvironment(DriftingEnvironment):
+    """Every tenth copy diverges at every step, and its advice is nonsense."""
+
+    broken = np.arange(NUM_ENVS) % 10 == 0
+
+    def step(self, actions):
+        ids = np.flatnonzero(self.broken)
+        return dataclasses.replace(super().step(actions), valid=~self.broken, diverged={"copy": ids})
+
+    def _observation(self):
+        found = super()._observation()
+        found["privileged_state"][self.broken, 1] = 1.0
+        return found
+
+
+def test_copies_that_diverge_are_counted_and_not_imitated(tmp_path):
+    config = dataclasses.replace(CONFIG, max_invalid_fraction=0.2)
+    train(BreakingEnvironment(), config, 0, tmp_path)
+    records = load(tmp_path / "progress.jsonl")
+    share = BreakingEnvironment.broken.mean()
+    assert [record["invalid_fraction"] for record in records[1:3]] == pytest.approx([share, share])
+    assert records[1]["invalid"] == BreakingEnvironment.broken.sum() * IMITATION.steps
+    assert records[2]["imitation_loss"] < 0.05  # 0.1 and more where a tenth of the rows advise 1
+
+
+def test_an_imitation_of_which_too_much_diverges_stops_with_what_is_known(tmp_path):
+    with pytest.raises(TrainingDiverged, match=r"^iteration 1: 12\.5% of the steps diverged .*diverged\.npz$"):
+        train(BreakingEnvironment(), CONFIG, 0, tmp_path)
+    found = load(tmp_path / "diverged.npz")
+    assert set(found["copy"]) == set(np.flatnonzero(BreakingEnvironment.broken))
+    assert set(found["rollout_step"]) == set(range(20))
