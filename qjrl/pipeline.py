@@ -158,9 +158,9 @@ def meet(tree: Mapping[str, Any]) -> None:
     """Joins the other processes of the run, if there are any, before JAX looks for devices."""
     config = build(RunConfig, _part(tree, RunConfig)).processes
     if config.count > 1:
-        import jax
+        from qjrl.learning import processes
 
-        jax.distributed.initialize(config.coordinator, config.count, config.index)
+        processes.join(config.coordinator, config.count, config.index)
 
 
 def in_order(names: Iterable[str]) -> list[str]:

@@ -4,10 +4,20 @@ Rows (copies of an environment) are dealt out in blocks, in the order of the pro
 it alone judges, reads and writes.
 """
 
+import signal
 from typing import Any
 
 import jax
 import numpy as np
+
+
+def join(coordinator: str, count: int, index: int) -> None:
+    """Makes this process number `index` of `count` that meet at `coordinator` (HOST:PORT), before JAX looks for devices.
+
+    SIGTERM goes on ending it: JAX catches it for those who save then, and what is at work here loses little anyway.
+    """
+    jax.distributed.initialize(coordinator, count, index)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def are_several() -> bool:

@@ -17,7 +17,7 @@ from qjrl.learning.ppo.train import train
 if __name__ == "__main__":
     out = Path(sys.argv[1])
     if len(sys.argv) > 2:
-        jax.distributed.initialize(sys.argv[2], num_processes=2, process_id=int(sys.argv[3]))
+        processes.join(sys.argv[2], 2, int(sys.argv[3]))
     own = processes.own_rows(NUM_ENVS)
     directory = out / ("training" if processes.is_first() else "nothing_is_written_here")
     policy = train(DriftingEnvironment(own), CONFIG, 0, directory)
