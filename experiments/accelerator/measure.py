@@ -137,9 +137,7 @@ def fitting(bench: Bench) -> dict[str, Any]:
 def solving(bench: Bench) -> dict[str, Any]:
     """Targets inverted a second by the default method on one learned model, which is compiled in the first call."""
     config = shipped(IKConfig, "ik/least_squares")
-    config = dataclasses.replace(
-        config, least_squares=dataclasses.replace(config.least_squares, batch_size=bench.rows)
-    )
+    config = dataclasses.replace(config, least_squares=dataclasses.replace(config.least_squares, batch_size=bench.rows))
     model = made_up_model(bench.robot)
     targets = target_poses(bench.robot, draw_bends(bench.robot, "uniform", bench.rows, 0))
     solve = partial(solve_model, bench.robot, targets, model, config, 0)
