@@ -36,8 +36,8 @@ def _block(function: Callable[[Robot, jax.Array], Any], robot: Robot, rows: jax.
     return jax.lax.map(functools.partial(function, robot), rows)
 
 
-def _host() -> jax.Device | None:
-    """The CPU; None, the default device, where `JAX_PLATFORMS` leaves it out."""
+def _host() -> Any:
+    """The CPU as a device; None, the default device, where `JAX_PLATFORMS` leaves it out."""
     try:
         return jax.local_devices(backend="cpu")[0]
     except RuntimeError:

@@ -68,7 +68,7 @@ def test_only_a_policy_that_starts_at_zero_is_called_its_base(trained, tmp_path,
 def outcomes(base_mm: float, policy_mm: float) -> list[Outcome]:
     tension = np.full((20, 8), 15.0)
     return [
-        Outcome(name, target_set, *(np.full(20, 1e-3 * millimetres),) * 2, tension, tension < 0.01, 0)
+        Outcome(name, target_set, error := np.full(20, 1e-3 * millimetres), error, tension, tension < 0.01, 0)
         for target_set in TARGET_SETS
         for name, millimetres in (
             ("learned_ik+dither+estimate", base_mm),
