@@ -20,6 +20,7 @@ from typing import Any
 from qjrl import __version__, pipeline, progress, sweep
 from qjrl.artifacts import ArtifactError, hash_of
 from qjrl.config import ConfigError, conf_folder, known_names, read_yaml, unknown_key
+from qjrl.learning.divergence import TrainingDiverged
 
 HELP = """\
 qjrl {version}: the toolkit for cable-driven arms made of quaternion joints
@@ -97,8 +98,7 @@ def _launch(arguments: list[str]) -> int:
     outcomes: list[str] = []
     is_sweep = bool({"-m", "--multirun"} & set(arguments))
     arguments = ["--multirun"] * is_sweep + [text for text in arguments if text not in ("-m", "--multirun")]
-    since = time.time()
-    sweep_dir = None
+    since, sweep_dir = time.time(), None
     try:
         sweep_dir, pinned = _pinned_sweep(arguments) if is_sweep else (None, [])
         sys.argv = ["qjrl", *arguments, *pinned]
@@ -141,9 +141,9 @@ def _run(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
         pipeline.meet(tree)
         progress.console.print(f"{', '.join(names)} -> {run_dir}", markup=False)
         pipeline.run(names, pipeline.build_configs(tree), run_dir)
-    except (ConfigError, ArtifactError) as error:
+    except (ConfigError, ArtifactError, TrainingDiverged) as error:
         _complain(error)
-        return "bad input", str(error)
+        return "failed" if isinstance(error, TrainingDiverged) else "bad input", str(error)
     except Exception as error:
         traceback.print_exc()
         return "failed", f"{type(error).__name__}: {error}"

@@ -38,6 +38,14 @@ def test_the_default_stages_are_those_that_are_not_on_demand() -> None:
     assert tree_of()["stages"] == [name for name, stage in pipeline.STAGES.items() if stage.default]
 
 
+def test_the_paper_s_policy_trains_in_mjx_where_that_is_the_simulation() -> None:
+    """In minimal coordinates `simulation` would not reach the training at all."""
+    config = pipeline.build_configs(tree_of("+experiment=paper", "simulation=mjx"))["policy"]
+    assert (config.policy.engine, config.simulation.backend) == ("simulation", "mjx")
+    in_coordinates = pipeline.build_configs(tree_of("policy=paper", "policy.engine=minimal"))["policy"]
+    assert in_coordinates.policy.engine == "minimal"
+
+
 @pytest.mark.parametrize("choice", [choice for choice in choices() if "experiment" not in choice])
 def test_the_files_show_every_value_that_there_is(choice) -> None:
     tree = tree_of(choice)

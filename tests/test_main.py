@@ -16,6 +16,7 @@ import pytest
 
 from qjrl import artifacts, config, pipeline
 from qjrl.__main__ import main
+from qjrl.learning.divergence import TrainingDiverged
 
 ROOT = Path(__file__).parent.parent
 
@@ -55,6 +56,11 @@ def two_stages(qjrl, monkeypatch) -> Command:
     def count(config: Any, inputs: dict[str, Path], out: Path) -> None:
         if config.seed == 13:
             raise RuntimeError("thirteen")
+        if config.seed == 14:
+            try:
+                raise TrainingDiverged("iteration 14: 20.0% of the steps diverged")
+            except TrainingDiverged as error:
+                raise TrainingDiverged(f"{error}; states: diverged.npz") from error
         artifacts.write_json(out / "metrics.json", {"far": {"learned": {"position_median_mm": config.seed / 2}}})
 
     entries = [
@@ -217,6 +223,14 @@ def test_a_failure_that_nobody_foresaw_keeps_its_traceback(two_stages) -> None:
     assert "RuntimeError: thirteen" in result.err
 
 
+def test_a_training_that_diverged_is_one_line_and_exit_code_1(two_stages, tmp_path) -> None:
+    result = two_stages("seed=14", "name=lost")
+    assert result.code == 1
+    assert result.err == "iteration 14: 20.0% of the steps diverged; states: diverged.npz\n"
+    summary = json.loads((tmp_path / "outputs" / "lost" / "summary.json").read_text())
+    assert (summary["status"], summary["error"]) == ("failed", result.err.strip())
+
+
 def test_a_sweep_ends_with_one_table_and_fails_if_a_job_does(two_stages, tmp_path) -> None:
     (tmp_path / "my_arm.yaml").write_text((ROOT / "conf" / "robot" / "qj_2222.yaml").read_text())
     result = two_stages("-m", "seed=1,2", "robot=qj_2222,my_arm.yaml", "name=both")
@@ -319,9 +333,9 @@ def test_ctrl_c_says_how_to_go_on(tmp_path) -> None:
 
 @pytest.mark.slow
 def test_all_stages_run_on_mjx(tmp_path) -> None:
-    """In a process of its own: MJX compiles several times, for minutes."""
+    """In a process of its own: MJX compiles several times, for minutes. The policy trains in it, too."""
     small = ["sample.num_samples=24", "ik.num_held_out=4", "ik.num_bank=6", "policy.num_judged=1", "policy.num_envs=8"]
-    steps = ["policy.ppo.num_steps=320", "policy.ppo.checkpoint_every=1"]
+    steps = ["policy.engine=simulation", "policy.ppo.num_steps=320", "policy.ppo.checkpoint_every=1"]
     command = [sys.executable, "-m", "qjrl", "+experiment=smoke", "simulation=mjx", "robot=qj_22", *small, *steps]
     done = subprocess.run([*command, f"hydra.run.dir={tmp_path}"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

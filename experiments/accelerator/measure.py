@@ -1,9 +1,10 @@
-"""On a machine with an accelerator: MJX against C MuJoCo, then the rates of settling, fitting, solving and training.
+"""On a machine with an accelerator: the rates of training, fitting, solving and settling, and MJX against C MuJoCo.
 
-    python experiments/accelerator/measure.py table.json
+    python experiments/accelerator/measure.py table.json --cases training fitting solving --seconds 300
 
-No network, no data set: rows and targets are made here. What fails is written down as such, and the rest goes on. The
-numbers below are for a large GPU; `--robot qj_22 --rows 64 --arms 16 --steps 2` goes through it all on a small computer.
+No network, no data set, no run of `qjrl` before it: rows, targets and networks are made here, with the values of `conf/`.
+The cases go in the order of `CASES`; what fails is written down as such, and the rest goes on. The default sizes are for
+a large GPU; `--robot qj_22 --rows 64 --arms 16 --steps 2` goes through it all on a small computer.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,113 +23,197 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.control.bases import bank_of, environment_of
+from qjrl.config import build, conf_folder, read_yaml
+from qjrl.control.bases import environment_of
 from qjrl.control.environment import ResidualEnvironment
-from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.inversion import IKConfig, solve_target_set
-from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.train import train
+from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.inversion import IKConfig, solve_model
+from qjrl.control.judging import arrives_in_time
+from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.targets import draw_bends, target_poses
+from qjrl.learning.fitting import FitState, FittedNetwork, Rows, make_optimiser, mean_squared_error, train_epoch
+from qjrl.learning.ppo.train import PROGRESS, train
 from qjrl.provenance import provenance
-from qjrl.robot import bends_from_cables, forward_kinematics, load_robot
-from qjrl.robot.forward_model import ForwardModelConfig, pose_function
-from qjrl.robot.model_fitting import fit_rows, settled_split
+from qjrl.robot import cable_lengths, load_robot
+from qjrl.robot.forward_model import (
+    ForwardModel,
+    ForwardModelConfig,
+    PoseFunction,
+    make_network,
+    model_inputs,
+    pose_function,
+)
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.sampling import sample_rows
+from qjrl.simulation.sampling import sample_lengths, sample_rows
 from qjrl.simulation.settle_problem import Backend, SettleConfig
 from qjrl.simulation.settling import settle
 
 # Rows that both engines settle, to be compared one by one.
 COMPARED = 64
-EPOCHS = 5
+TARGETS = 512
+EPOCHS = 10
+# Scale of what the made-up forward model adds to the bends: that of what a fitted one corrects.
+CORRECTION = 1e-3
 
 
-@dataclasses.dataclass
-class Sizes:
-    """Of the machine."""
+@dataclasses.dataclass(frozen=True)
+class Bench:
+    """What is measured, and how much of it."""
 
+    robot: Robot
     rows: int
+    """Settled, solved and, four times as many, fitted."""
     arms: int
+    """Trained with."""
     steps: int
+    """Iterations of PPO that count; one more comes before them."""
 
 
-def against_c(robot: Robot, sizes: Sizes, backend: Backend) -> dict[str, Any]:
+Case = Callable[[Bench], dict[str, Any]]
+
+
+def shipped[T](kind: type[T], choice: str) -> T:
+    """The values of `conf/`, as the command takes them."""
+    return build(kind, read_yaml(conf_folder() / f"{choice}.yaml"), choice)
+
+
+def training(engine: Backend | Literal["minimal"], bench: Bench) -> dict[str, Any]:
+    """Environment steps a second of the default policy's training: a round of imitation, iterations of PPO, learning included."""
+    config = shipped(PolicyConfig, "policy/default")
+    length = config.ppo.unroll_length
+    imitation = dataclasses.replace(config.ppo.imitation, rounds=2, steps=bench.steps * length)
+    num_steps = (bench.steps + 1) * length * bench.arms
+    ppo = dataclasses.replace(config.ppo, imitation=imitation, num_steps=num_steps, checkpoint_every=num_steps)
+    simulation = SettleConfig() if engine == "minimal" else SettleConfig(backend=engine)
+    start = time.perf_counter()
+    stepper = make_stepper(bench.robot, bench.arms, simulation, is_minimal=engine == "minimal")
+    of_base = environment_of(config.environment, config.base)
+    environment = ResidualEnvironment(bench.robot, of_base, closed_form_bank(bench.robot, of_base), stepper, 0)
+    setup = time.perf_counter() - start
+    with tempfile.TemporaryDirectory() as directory:
+        train(environment, ppo, 0, Path(directory))
+        records = artifacts.load(Path(directory) / PROGRESS)
+    rounds, (first, *counted) = records[1:3], records[3:]
+    parts = ("environment_seconds", "act_seconds", "learning_seconds")
+    return {
+        "arms": bench.arms,
+        "setup_seconds": setup,
+        "imitation_first_seconds": rounds[0]["imitation_seconds"],
+        "imitation_steps_per_second": imitation.steps * bench.arms / rounds[1]["imitation_seconds"],
+        "ppo_first_seconds": length * bench.arms / first["steps_per_second"],
+        "ppo_steps_per_second": float(np.median([record["steps_per_second"] for record in counted])),
+        "ppo_iterations": len(counted),
+        **{f"ppo_{part}": float(np.median([record[part] for record in counted])) for part in parts},
+    }
+
+
+def fitting(bench: Bench) -> dict[str, Any]:
+    """Rows fitted a second by the default forward model's epochs alone: no evaluation, no checkpoints."""
+    config = shipped(ForwardModelConfig, "forward_model/corrected")
+    network = make_network(bench.robot, config)
+    lengths = sample_lengths(bench.robot, 0, 0, 4 * bench.rows, 0.0)
+    inputs = jax.vmap(lambda row: model_inputs(bench.robot, config.form, row))(jnp.asarray(lengths)).astype(jnp.float32)
+    rows = Rows(inputs, jnp.sin(3.0 * inputs))
+    parameters = network.init(jax.random.key(0), inputs[:1])["params"]
+    state = FitState(parameters, make_optimiser(config.fit, 1).init(parameters), jax.random.key(1))
+    run_epoch = jax.jit(train_epoch, static_argnums=(0, 1, 2), donate_argnums=3)
+    first, (state, losses) = timed(lambda: run_epoch(config.fit, network, mean_squared_error, state, rows, 1))
+    seconds = []
+    for epoch in range(2, EPOCHS + 2):
+        one, (state, losses) = timed(partial(run_epoch, config.fit, network, mean_squared_error, state, rows, epoch))
+        seconds.append(one)
+    fitted = losses.size * min(config.fit.batch_size, len(inputs))
+    return {
+        "rows": fitted,
+        "batch_size": config.fit.batch_size,
+        "first_seconds": first,
+        "epoch_seconds": float(np.median(seconds)),
+        "rows_per_second": fitted / float(np.median(seconds)),
+        "loss": float(losses[-1]),
+    }
+
+
+def solving(bench: Bench) -> dict[str, Any]:
+    """Targets inverted a second by the default method on one learned model, which is compiled in the first call."""
+    config = shipped(IKConfig, "ik/least_squares")
+    config = dataclasses.replace(config, least_squares=dataclasses.replace(config.least_squares, batch_size=bench.rows))
+    model = made_up_model(bench.robot)
+    targets = target_poses(bench.robot, draw_bends(bench.robot, "uniform", bench.rows, 0))
+    solve = partial(solve_model, bench.robot, targets, model, config, 0)
+    first, _ = timed(solve)
+    seconds, found = timed(solve)
+    return {
+        "targets": bench.rows,
+        "first_seconds": first,
+        "targets_per_second": bench.rows / seconds,
+        "solved_share": float(np.mean(found.converged)),
+    }
+
+
+def against_c(backend: Backend, bench: Bench) -> dict[str, Any]:
     """Distance between the tips that the same commands settle at in MJX, float32, and in C."""
-    count = min(COMPARED, sizes.rows)
-    mujoco = sample_rows(robot, SettleConfig(), 0, 0, count)
-    mjx = settle(robot, mujoco["cable_lengths"], config=SettleConfig(backend=backend, batch_size=count))
-    millimetres = 1e3 * np.linalg.norm(mujoco["pose"][:, :3] - np.asarray(mjx.pose)[:, :3], axis=1)
-    both = mujoco["converged"] & np.asarray(mjx.converged)
+    count = min(COMPARED, bench.rows)
+    in_c = sample_rows(bench.robot, SettleConfig(), 0, 0, count)
+    config = SettleConfig(backend=backend, batch_size=count)
+    seconds, in_mjx = timed(lambda: settle(bench.robot, in_c["cable_lengths"], config=config))
+    both = in_c["converged"] & in_mjx.converged
+    if not both.any():
+        raise RuntimeError(f"none of {count} rows settled in both engines")
+    millimetres = 1e3 * np.linalg.norm(in_c["pose"][both, :3] - in_mjx.pose[both, :3], axis=1)
     return {
         "rows": count,
         "settled_in_both": int(both.sum()),
-        "tip_median_mm": float(np.median(millimetres[both])),
-        "tip_largest_mm": float(millimetres[both].max()),
+        "tip_median_mm": float(np.median(millimetres)),
+        "tip_largest_mm": float(millimetres.max()),
+        "mjx_first_seconds": seconds,
     }
 
 
-def settling(robot: Robot, sizes: Sizes, backend: Backend) -> dict[str, Any]:
-    """Settled rows a second in MJX; the second time, when all is compiled."""
-    config = SettleConfig(backend=backend, batch_size=sizes.rows)
-    lengths = sample_rows(robot, SettleConfig(max_time=0.1), 0, 0, sizes.rows)["cable_lengths"]
-    once = lambda: settle(robot, lengths, config=config)  # noqa: E731
-    first, _ = timed(once)
-    second, result = timed(once)
+def settling(backend: Backend, bench: Bench) -> dict[str, Any]:
+    """Rows settled a second in MJX; the first call compiles."""
+    config = SettleConfig(backend=backend, batch_size=bench.rows)
+    lengths = sample_lengths(bench.robot, 0, 0, bench.rows, 0.0)
+    first, _ = timed(lambda: settle(bench.robot, lengths, config=config))
+    seconds, result = timed(lambda: settle(bench.robot, lengths, config=config))
+    unsettled = int(np.sum(~result.converged))
     return {
-        "rows": sizes.rows,
+        "rows": bench.rows,
         "first_seconds": first,
-        "rows_per_second": sizes.rows / second,
-        "unsettled": int(np.sum(~np.asarray(result.converged))),
+        "rows_per_second": bench.rows / seconds,
+        "unsettled": unsettled,
     }
 
 
-def fitting(robot: Robot, sizes: Sizes) -> dict[str, Any]:
-    """Rows fitted a second, of the default network on closed-form poses."""
-    lengths = sample_rows(robot, SettleConfig(max_time=0.1), 0, 0, 4 * sizes.rows)["cable_lengths"]
-    data = closed_form_rows(robot, lengths)
-    config = ForwardModelConfig()
-    config = dataclasses.replace(config, fit=dataclasses.replace(config.fit, epochs=EPOCHS))
-    split = settled_split(data, 0.1, 0)
-    with tempfile.TemporaryDirectory() as first, tempfile.TemporaryDirectory() as second:
-        fit_rows(robot, config, split, 0, Path(first))
-        seconds, _ = timed(lambda: fit_rows(robot, config, split, 0, Path(second)))
-    return {"rows": len(lengths), "rows_per_second": EPOCHS * len(lengths) / seconds}
+# In the order in which they are wanted, the cheap ones first: MJX compiles for minutes.
+CASES: dict[str, Case] = {
+    "training": partial(training, "minimal"),
+    "fitting": fitting,
+    "solving": solving,
+    "mjx-against-c": partial(against_c, "mjx"),
+    "mjx-settling": partial(settling, "mjx"),
+    "mjx-training": partial(training, "mjx"),
+    "warp-against-c": partial(against_c, "mjx-warp"),
+    "warp-settling": partial(settling, "mjx-warp"),
+    "warp-training": partial(training, "mjx-warp"),
+}
 
 
-def solving(robot: Robot, sizes: Sizes) -> dict[str, Any]:
-    """Targets inverted a second by least squares."""
-    solve = lambda: solve_target_set(robot, pose_function(robot, None), IKConfig(), "uniform", sizes.rows, 0)  # noqa: E731
-    solve()
-    seconds, found = timed(solve)
-    return {
-        "targets": sizes.rows,
-        "targets_per_second": sizes.rows / seconds,
-        "solved": float(found["converged"].mean()),
-    }
+def closed_form_bank(robot: Robot, config: EnvironmentConfig) -> Bank:
+    """Targets with uniform bends that the arm reaches in time, and the closed form's commands for them."""
+    bends = draw_bends(robot, "uniform", TARGETS, 0)
+    lengths = jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(bends))
+    in_time = np.flatnonzero(arrives_in_time(robot, config, np.asarray(lengths)))
+    return Bank(jnp.asarray(target_poses(robot, bends)[in_time]), lengths[in_time])
 
 
-def training(robot: Robot, sizes: Sizes, engine: Backend | Literal["minimal"]) -> dict[str, Any]:
-    """Environment steps a second of PPO, learning included, in the paper's environment of so many arms."""
-    config = environment_of(EnvironmentConfig(), "dither")
-    targets = solve_target_set(robot, pose_function(robot, None), IKConfig(), "uniform", 512, 0)
-    bank = bank_of(targets, "dither", np.arange(512))
-    simulation = SettleConfig() if engine == "minimal" else SettleConfig(backend=engine)
-    stepper = make_stepper(robot, sizes.arms, simulation, is_minimal=engine == "minimal")
-    environment = ResidualEnvironment(robot, config, bank, stepper, 0)
-    ppo = PPOConfig(num_steps=sizes.steps * 20 * sizes.arms, checkpoint_every=1000)
-    with tempfile.TemporaryDirectory() as directory:
-        train(environment, ppo, 0, Path(directory))
-        records = artifacts.load(Path(directory) / "progress.jsonl")[2:]
-    rates = [record["steps_per_second"] for record in records]
-    return {"arms": sizes.arms, "steps_per_second": float(np.median(rates)), "iterations": len(rates)}
-
-
-def closed_form_rows(robot: Robot, lengths: np.ndarray) -> dict[str, np.ndarray]:
-    """As a data set would hold them."""
-    bends = jax.vmap(lambda row: bends_from_cables(robot, row))(jnp.asarray(lengths))
-    poses = jax.vmap(lambda row: forward_kinematics(robot, row))(bends)
-    every = {"converged": np.ones(len(lengths), bool), "seed": np.arange(len(lengths))}
-    return {"cable_lengths": lengths, "bends": np.asarray(bends), "pose": np.asarray(poses)} | every
+def made_up_model(robot: Robot) -> PoseFunction:
+    """The default forward model with random parameters, near the closed form; every call makes a new function to compile."""
+    config = shipped(ForwardModelConfig, "forward_model/corrected")
+    config = dataclasses.replace(config, network=dataclasses.replace(config.network, zero_output=False))
+    parameters = make_network(robot, config).init(jax.random.key(0), jnp.zeros((1, robot.num_cables)))["params"]
+    zeros = jnp.zeros(robot.num_cables, jnp.float32)
+    return pose_function(robot, ForwardModel(FittedNetwork(parameters, zeros, zeros + CORRECTION), config))
 
 
 def timed(function: Callable[[], Any]) -> tuple[float, Any]:
@@ -137,42 +223,67 @@ def timed(function: Callable[[], Any]) -> tuple[float, Any]:
     return time.perf_counter() - start, result
 
 
-def main() -> None:
-    """Writes the table after every case, so that nothing measured is lost."""
+def case_named(text: str) -> str:
+    """The name of a case, from its name or its number, from 1."""
+    names = list(CASES)
+    name = names[int(text) - 1] if text.isdecimal() and 1 <= int(text) <= len(names) else text
+    if name not in CASES:
+        allowed = ", ".join(f"{number} {known}" for number, known in enumerate(names, 1))
+        raise argparse.ArgumentTypeError(f"got {text}, allowed: {allowed}")
+    return name
+
+
+def positive(text: str) -> int:
+    """A size."""
+    if not text.isdecimal() or int(text) == 0:
+        raise argparse.ArgumentTypeError(f"got {text}, allowed: an integer of at least 1")
+    return int(text)
+
+
+def parse() -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(description="Rates of all parts on this machine, as JSON.")
     parser.add_argument("table", type=Path)
+    parser.add_argument("--cases", type=case_named, nargs="+", default=list(CASES), help=", ".join(CASES))
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="after which no further case starts")
     parser.add_argument("--robot", default="qj_2222")
-    parser.add_argument("--rows", type=int, default=4096)
-    parser.add_argument("--arms", type=int, default=4096)
-    parser.add_argument("--steps", type=int, default=10)
-    arguments = parser.parse_args()
+    parser.add_argument("--rows", type=positive, default=4096)
+    parser.add_argument("--arms", type=positive, default=4096)
+    parser.add_argument("--steps", type=positive, default=10, help="iterations of PPO that count")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Writes the table after every case, so that nothing measured is lost."""
+    begun, arguments = time.monotonic(), parse()
     jax.config.update("jax_enable_x64", True)
-    robot, sizes = load_robot(arguments.robot), Sizes(arguments.rows, arguments.arms, arguments.steps)
-    cases: dict[str, Callable[[], dict[str, Any]]] = {
-        "training, minimal coordinates": lambda: training(robot, sizes, "minimal"),
-        "fitting": lambda: fitting(robot, sizes),
-        "solving": lambda: solving(robot, sizes),
-        "MJX against C MuJoCo": lambda: against_c(robot, sizes, "mjx"),
-        "settling, MJX": lambda: settling(robot, sizes, "mjx"),
-        "training, MJX": lambda: training(robot, sizes, "mjx"),
-        "MJX with Warp against C MuJoCo": lambda: against_c(robot, sizes, "mjx-warp"),
-        "settling, MJX with Warp": lambda: settling(robot, sizes, "mjx-warp"),
-        "training, MJX with Warp": lambda: training(robot, sizes, "mjx-warp"),
-    }
-    table: dict[str, Any] = {
+    jax.config.update("jax_default_matmul_precision", "highest")  # as the command does
+    bench = Bench(load_robot(arguments.robot), arguments.rows, arguments.arms, arguments.steps)
+    cases: dict[str, Any] = {}
+    about = {
         "robot": arguments.robot,
         "devices": [device.device_kind for device in jax.devices()],
         "jax": jax.__version__,
         "machine": provenance({}, None, None)["hardware"],
     }
-    for name, case in cases.items():
-        try:
-            table[name] = case()
-        except Exception as error:  # the next case may well work
-            traceback.print_exc()
-            table[name] = {"failed": f"{type(error).__name__}: {error}"}
-        print(name, json.dumps(table[name]), flush=True)
-        artifacts.write_json(arguments.table, table)
+    for name in arguments.cases:
+        start = time.monotonic()
+        if start - begun > arguments.seconds:
+            cases[name] = {"skipped": f"{start - begun:.0f} s had passed"}
+        else:
+            cases[name] = attempted(CASES[name], bench)
+            cases[name]["case_seconds"] = time.monotonic() - start
+        print(name, json.dumps(cases[name]), flush=True)
+        artifacts.write_json(arguments.table, about | {"cases": cases})
+
+
+def attempted(case: Case, bench: Bench) -> dict[str, Any]:
+    """What a case measures, or how it failed: the next one may well work."""
+    try:
+        return case(bench)
+    except Exception as error:
+        traceback.print_exc()
+        return {"failed": f"{type(error).__name__}: {error}"}
 
 
 if __name__ == "__main__":

@@ -136,7 +136,7 @@ def seven_hinges() -> str:
 def bench_mink() -> None:
     """mink, one target after the other from one start, full steps (dt = 1), joint limits by its QP."""
     try:
-        import mink
+        import mink  # pyright: ignore[reportMissingImports]
         import mujoco
     except ImportError:
         print("mink is not installed: pip install 'qjrl[bench]' to compare with it; skipped")

@@ -31,7 +31,7 @@ record = np.load(folder / "log.npz")  # a record of the arm; on a robot, the enc
 rows = np.flatnonzero(record["episode"] == 0)
 state = {"target": record["target"][0], "base_lengths": record["base_lengths"][0], "reading": record["reading"][0]}
 state |= call("begin_target", state)
-difference, seconds = 0.0, []
+answer, difference, seconds = {}, 0.0, []
 for row in rows:
     begin = time.perf_counter()
     answer = call("control_step", state | {"reading": record["reading"][row]})

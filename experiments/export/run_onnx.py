@@ -20,7 +20,7 @@ strokes = np.array([cable["high"] for cable in contract["cables"]], contract["pr
 lengths = 0.3 * strokes * np.linspace(-1.0, 1.0, 7, dtype=strokes.dtype)[:, None]  # seven commands [m]
 (poses,) = session.run(["pose"], {described["inputs"][0]["name"]: lengths})
 matrix, limit = np.array(contract["bends"]["from_cable_lengths"]), contract["bends"]["limit"]
-for row, pose in zip(lengths, poses, strict=True):
+for row, pose in zip(lengths, np.asarray(poses), strict=True):
     bends = np.linalg.norm((matrix @ row).reshape(-1, 2), axis=1)
     allowed = "within" if bends.max() <= limit else "beyond"
     print(f"cables {np.round(1e3 * row, 1)} mm, {allowed} the limits: tip at {np.round(1e3 * pose[:3], 1)} mm")

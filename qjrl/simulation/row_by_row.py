@@ -1,4 +1,4 @@
-"""Evaluate a function of one row for many rows, to the same bits whatever rows come with it."""
+"""Evaluate a function of one row for many rows on the CPU, to the same bits whatever rows come with it."""
 
 import functools
 from collections.abc import Callable
@@ -17,11 +17,14 @@ def row_by_row(function: Callable[[Robot, jax.Array], Any], robot: Robot, rows: 
     """`function(robot, row)` for every row of (n, k), stacked, as numpy arrays.
 
     `jax.vmap` over all rows would give a row other last bits in another batch: the sizes choose how XLA vectorises.
+    On the CPU beside whatever accelerator there is: a row is a chain of tiny operations, each of which would be a kernel
+    of its own there, and a data set begins with the same bits on every machine.
 
     Args:
         function: of the module's level, of one row; returns an array or a tuple of arrays.
     """
-    blocks = [_block(function, robot, _filled(rows[start : start + BLOCK])) for start in range(0, len(rows), BLOCK)]
+    with jax.default_device(_host()):
+        blocks = [_block(function, robot, _filled(rows[start : start + BLOCK])) for start in range(0, len(rows), BLOCK)]
     if not blocks:
         empty = jax.eval_shape(functools.partial(function, robot), jax.ShapeDtypeStruct(rows.shape[1:], rows.dtype))
         return jax.tree.map(lambda leaf: np.zeros((0, *leaf.shape), leaf.dtype), empty)
@@ -31,6 +34,14 @@ def row_by_row(function: Callable[[Robot, jax.Array], Any], robot: Robot, rows: 
 @functools.partial(jax.jit, static_argnums=0)
 def _block(function: Callable[[Robot, jax.Array], Any], robot: Robot, rows: jax.Array) -> Any:
     return jax.lax.map(functools.partial(function, robot), rows)
+
+
+def _host() -> Any:
+    """The CPU as a device; None, the default device, where `JAX_PLATFORMS` leaves it out."""
+    try:
+        return jax.local_devices(backend="cpu")[0]
+    except RuntimeError:
+        return None
 
 
 def _filled(rows: np.ndarray) -> np.ndarray:

@@ -61,11 +61,14 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
 
 
 def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures.Verdict:
-    """The verdict in words; a policy that is its own base is not praised for being as good."""
+    """The verdict in words; a policy that is its own base, untrained, is not praised for being as good.
+
+    One that started as noise is no base of its own: the verdict on it stands.
+    """
     verdict = measures.judge_residual(
         outcomes, controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
     )
-    if trained["kept_env_steps"] > 0:
+    if trained["kept_env_steps"] > 0 or "base" not in trained:
         return verdict
     return dataclasses.replace(verdict, holds=None, headline=_UNTRAINED)
 
@@ -138,12 +141,13 @@ def _policy_section(directory: Path, trained: dict):
         Number("rate", trained["steps_per_second"], "steps/s", f"bare physics: {trained['bare_steps_per_second']:.0f}"),
         Number("diverged steps", trained["invalid_steps"]),
     )
+    name, start = ("base", trained["base"]) if "base" in trained else ("untrained policy", trained["untrained"])
     return sections.policy_section(
         artifacts.load(directory / "progress.jsonl"),
         {"evaluation/uniform_median_mm": "uniform bends", "evaluation/near_home_median_mm": "near home"},
         {
-            "base, uniform bends": trained["base"]["uniform_median_mm"],
-            "base, near home": trained["base"]["near_home_median_mm"],
+            f"{name}, uniform bends": start["uniform_median_mm"],
+            f"{name}, near home": start["near_home_median_mm"],
         },
         numbers,
         "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept: "

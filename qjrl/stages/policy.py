@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +35,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     bare_rate = float(np.median([record["bare_steps_per_second"] for record in artifacts.load(out / BARE_RATES)]))
     judged = [record for record in records if "evaluation/median_mm" in record]
-    metrics = {
+    start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
+    metrics: dict[str, Any] = {
         "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
@@ -42,11 +44,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "bare_steps_per_second": bare_rate,
         "share_of_bare_rate": float(np.median(rates)) / bare_rate,
         "invalid_steps": int(sum(record.get("invalid", 0) for record in records)),
-        "base": {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
+        start: {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
     }
     artifacts.write_json(out / "metrics.json", metrics)
     if metrics["kept_env_steps"] == 0:
-        log.info("policy: no trained checkpoint beats the base on the judged targets; the untrained policy is kept")
+        rival = {"base": "base", "untrained": "untrained policy"}[start]
+        log.info("policy: no trained checkpoint beats the %s on the judged targets; the untrained one is kept", rival)
     log.info(
         "policy: %d steps at %.0f/s, %.0f %% of the bare physics' %.0f/s",
         metrics["env_steps"],

@@ -155,7 +155,7 @@ def ik_section(answers: Arrays, metrics: Metrics, target_sets: Sequence[str]) ->
 def policy_section(
     records: Records,
     errors: Mapping[str, str],
-    base: Mapping[str, float],
+    start: Mapping[str, float],
     numbers: Sequence[Number] = (),
     text: str = "",
 ) -> Section:
@@ -164,7 +164,7 @@ def policy_section(
     Args:
         records: `policy/progress.jsonl`.
         errors: key of a median error [mm] of the deterministic policy in the records -> its name in the legend.
-        base: name -> the base controller's median on the same targets [mm].
+        start: name -> median of the untrained policy on the same targets [mm]; of its base, where it starts as that.
     """
     steps = ("env_steps", "environment steps")
     kl, std = (learning_curves(records, {key: name}, *steps, label, False)
@@ -172,8 +172,8 @@ def policy_section(
                                         ("std", "std", "exploration: standard deviation of the action [–]")))  # fmt: skip
     pictures = (
         Picture(
-            learning_curves(records, errors, *steps, "position error of the deterministic policy [mm]", False, base),
-            "The error that counts, without exploration; at step 0 the policy is its base controller.",
+            learning_curves(records, errors, *steps, "position error of the deterministic policy [mm]", False, start),
+            "The error that counts, without exploration; dashed: before any training.",
         ),
         Picture(
             learning_curves(records, {"return": "return"}, *steps, "return of an episode [–]"),
