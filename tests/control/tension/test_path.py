@@ -44,7 +44,7 @@ def test_positions_alone_leave_the_orientation_free(tmp_path):
 def test_poses_are_met_in_every_form(tmp_path):
     arm = arm_named("qj_2222")
     position = np.linspace([-0.01, 0.0, 0.44], [0.01, 0.0, 0.44], 3)
-    turn = Rotation.from_euler("x", [0.0, 2.0, 4.0], degrees=True)
+    turn = Rotation.from_rotvec(np.radians([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0]]))
     quaternion, matrix = turn.as_quat(scalar_first=True), turn.as_matrix()
     pose = np.concatenate([position, matrix[:, :, 0], matrix[:, :, 1]], axis=1)
     write_arrays(tmp_path / "quaternion.npz", {"position": position, "quaternion": quaternion})
