@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from qjrl import artifacts
+from qjrl.cores import usable_cores
 
 PACKAGES = (
     *("qjrl", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax"),
@@ -74,14 +75,10 @@ def _versions() -> dict[str, str]:
 def _hardware() -> dict[str, Any]:
     return {
         "cpu": _cpu_model(),
-        "cores": _usable_cores(),
+        "cores": usable_cores(),
         "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1),
         "gpu": _gpu(),
     }
-
-
-def _usable_cores() -> int | None:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
 
 
 def _cpu_model() -> str:

@@ -3,6 +3,9 @@
 A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
 ``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
 
+Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
+reads beside them) and `packages` (what -> which, of extras that change what it writes).
+
 Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
 `parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
 a directory, a lock and a done-marker of its own in ``WRITES.parts/PART``; the whole is made of them when all are there.
@@ -117,19 +120,28 @@ def _inputs(stages: Stages, name: str, run_dir: Path) -> dict[str, Path]:
 def _identity(stages: Stages, name: str, config: Any, run_dir: Path) -> dict[str, Any]:
     """What the output of a stage depends on."""
     robot_hash, inputs = robot_hash_of(config), _inputs(stages, name, run_dir)
+    outside = getattr(config, "files", {}) | getattr(config, "packages", {})
+    for directory in inputs.values():
+        if artifacts.done_marker(directory) is None:
+            state = "is not finished" if directory.exists() else "does not exist"
+            needed = [stage for stage in stages if stage in {name, *_unfinished(stages, name, run_dir)}]
+            raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{','.join(needed)}]")
     return {
-        "config_hash": artifacts.hash_of(as_mapping(config) | getattr(config, "files", {})),
+        "config_hash": artifacts.hash_of(as_mapping(config) | outside),
         "robot_hash": robot_hash,
         "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
     }
 
 
+def _unfinished(stages: Stages, name: str, run_dir: Path) -> set[str]:
+    """The stages without which a stage cannot run, and those without which they cannot."""
+    missing = {source for source, path in _inputs(stages, name, run_dir).items() if not artifacts.done_marker(path)}
+    return missing.union(*(_unfinished(stages, source, run_dir) for source in missing))
+
+
 def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None) -> str:
-    """Identity of a finished input, or one line that says how to get it."""
-    marker = artifacts.done_marker(directory)
-    if marker is None:
-        state = "is not finished" if directory.exists() else "does not exist"
-        raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{source},{name}]")
+    """Identity of a finished input, or one line that says how to get the right one."""
+    marker = artifacts.done_marker(directory) or {}
     if robot_hash is not None and marker.get("robot_hash") not in (None, robot_hash):
         raise ArtifactError(f"{name}: {directory} belongs to another robot; run stages=[{source},{name}]")
     return marker["output_hash"]

@@ -14,6 +14,7 @@ FLOORS = {
     "learning": 1,
     "config": 1,
     "artifacts": 1,
+    "cores": 1,
     "progress": 1,
     "robot": 2,
     "simulation": 3,

@@ -289,7 +289,10 @@ def test_shards_and_seeds_may_be_swept_together_and_a_gap_is_one_line(qjrl, tmp_
 @pytest.mark.slow
 @pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
 def test_shards_are_made_by_processes_side_by_side(tmp_path, launcher) -> None:
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher")
+    if launcher == "submitit_local":
+        pytest.importorskip(
+            "hydra_plugins.hydra_submitit_launcher", reason="needs the extra cluster, which dev includes"
+        )
     size = ["stages=[sample]", "robot=qj_22", "sample.num_samples=64", "sample.shard_size=8"]
     shards = ["sample.shard=0,1,2,3", f"hydra/launcher={launcher}"]
     for arguments in (["-m", "name=shared", *shards], ["name=shared"], ["name=alone"]):

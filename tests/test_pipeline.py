@@ -114,6 +114,26 @@ def test_an_input_that_is_missing_or_unfinished_is_one_line_that_says_what_to_ru
     assert not (tmp_path / "two").exists()
 
 
+def test_all_stages_that_are_missing_are_named_at_once(tmp_path, calls, monkeypatch) -> None:
+    stages = pipeline.STAGES | {"third": Stage("fake_second", "multiplies", reads=("first", "second"), writes="three")}
+    monkeypatch.setattr(pipeline, "STAGES", stages)
+    configs = {"third": SecondConfig(Second())}
+    with pytest.raises(ArtifactError, match=r"one, which does not exist; run stages=\[first,second,third\]"):
+        pipeline.run(["third"], configs, tmp_path)
+    run(tmp_path, stages=["first"])
+    with pytest.raises(ArtifactError, match=r"two, which does not exist; run stages=\[second,third\]"):
+        pipeline.run(["third"], configs, tmp_path)
+    pipeline.run(["second", "third"], configs | {"second": SecondConfig(Second())}, tmp_path)
+    assert calls == ["first", "second", "second"]
+
+
+def test_what_a_stage_finds_outside_of_its_configuration_is_part_of_its_identity(tmp_path, calls, monkeypatch) -> None:
+    for outside in ({}, {"missing": "onnx"}, {"missing": "onnx"}, {}):
+        monkeypatch.setattr(FirstConfig, "packages", outside, raising=False)
+        run(tmp_path, stages=["first"])
+    assert calls == ["first"] * 3
+
+
 def test_a_second_run_in_the_same_directory_is_refused(tmp_path, calls) -> None:
     with open(tmp_path / ".lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,4 +1,5 @@
-"""Settled samples per second, and the share of bare MuJoCo's rate that settling turns into useful steps."""
+"""Settled samples per second, the share of bare MuJoCo's rate that settling turns into useful steps, and what a fixed time
+from home would cost instead."""
 
 import tempfile
 import time
@@ -7,16 +8,19 @@ from pathlib import Path
 import jax
 import mujoco
 import numpy as np
+from mujoco import batch
 
 from qjrl import artifacts
+from qjrl.cores import usable_cores
 from qjrl.provenance import provenance
-from qjrl.robot import load_robot
+from qjrl.robot import build_mjcf, load_robot
 from qjrl.simulation.mujoco_settle import Pool, settle_mujoco
 from qjrl.simulation.sampling import SampleConfig, sample_dataset, sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import nominal_problem
+from qjrl.simulation.settling import nominal_problem, settle
 
 ROBOT, NUM_ROWS, SHARD_SIZE, NUM_BARE_STEPS, NUM_REPEATS = "qj_2222", 2048, 1024, 60, 3
+FIXED_TIME, NUM_FIXED = 1.6, 512  # [s] of simulated time, rows
 
 
 def rates(count: int, start: tuple[float, float]) -> np.ndarray:
@@ -63,6 +67,27 @@ def bench_efficiency(robot, config, lengths) -> None:
     print(f"  steps a row: mean {steps.mean():.0f}, 99th percentile {np.percentile(steps, 99):.0f}, most {steps.max()}")
 
 
+def bench_fixed(robot, config, lengths) -> None:
+    """The baseline: a fixed time from home with the robot's own damping, every strand crossing every joint."""
+    simulations = batch.Batch(mujoco.MjModel.from_xml_string(build_mjcf(robot)), len(lengths), usable_cores())
+    tip = simulations.site("tip").xpos
+    simulations.qpos[:] = nominal_problem(robot, np.zeros((1, robot.num_cables))).joint_positions
+    simulations.ctrl[:] = nominal_problem(robot, lengths).strand_commands
+    start = now()
+    simulations.step(nstep=round(FIXED_TIME / simulations.model.opt.timestep))
+    fixed = rates(len(lengths), start)
+    simulations.forward()
+    start = now()
+    rest = settle(robot, lengths, config=config)
+    settled = rates(len(lengths), start)
+    off = 1e3 * np.linalg.norm(tip - rest.pose[:, :3], axis=1)[rest.converged]
+    print(f"  {len(lengths)} rows: settled {settled[0]:.0f} rows/s, {FIXED_TIME:g} s from home {fixed[0]:.0f} rows/s")
+    print(f"  settled / fixed = {settled[0] / fixed[0]:.1f} by the clock, {settled[1] / fixed[1]:.1f} by CPU time")
+    print(
+        f"  after {FIXED_TIME:g} s the tip is off its rest by: median {np.median(off):.3f} mm, worst {off.max():.1f} mm"
+    )
+
+
 def bench_data_set(robot, config) -> None:
     """The whole of what the stage `sample` does, except for starting up."""
     with tempfile.TemporaryDirectory() as folder:
@@ -74,7 +99,7 @@ def bench_data_set(robot, config) -> None:
 
 
 def main() -> None:
-    """Print both, of the paper's arm at the shipped settings."""
+    """Print all three, of the paper's arm at the shipped settings."""
     jax.config.update("jax_enable_x64", True)
     machine = provenance({}, None, None)["hardware"]
     robot, config = load_robot(ROBOT), SettleConfig()
@@ -83,6 +108,7 @@ def main() -> None:
     hurried = SettleConfig(max_time=0.1)  # compiles, and gives the commands
     lengths = sample_rows(robot, hurried, seed=0, start=0, count=NUM_ROWS)["cable_lengths"]
     bench_efficiency(robot, config, lengths)
+    bench_fixed(robot, config, lengths[:NUM_FIXED])
     bench_data_set(robot, config)
 
 

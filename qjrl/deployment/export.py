@@ -187,7 +187,7 @@ def _makes_onnx(config: ExportConfig) -> bool:
     missing = onnx_model.missing_packages() if config.onnx else []
     if missing:
         log.warning(
-            "export: no ONNX file, %s is not installed: pip install 'qjrl[onnx]', remove the export's done.json, run again",
+            "export: no ONNX file, %s is not installed: pip install 'qjrl[onnx]' and run again",
             ", ".join(missing),
         )
     return config.onnx and not missing

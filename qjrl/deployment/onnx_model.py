@@ -25,6 +25,12 @@ def missing_packages() -> list[str]:
     return [name for name in PACKAGES if importlib.util.find_spec(name) is None]
 
 
+def missing_for(onnx: bool) -> dict[str, str]:
+    """What keeps the ONNX files that are asked for from being written: part of the identity of a stage that would write them."""
+    missing = missing_packages() if onnx else []
+    return {"missing for ONNX": ", ".join(missing)} if missing else {}
+
+
 def versions() -> dict[str, str]:
     """Of the packages that made the file."""
     return {name: importlib.metadata.version(name) for name in PACKAGES}

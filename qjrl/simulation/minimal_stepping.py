@@ -5,7 +5,6 @@ Both come to rest at the same place; on the way they differ as two integrators d
 """
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -15,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from qjrl.cores import usable_cores
 from qjrl.robot.quaternion_arm.dynamics import Load, equations_of_motion, joint_coordinates, tip_pose
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.minimal_step import MinimalState, Physics, minimal_steps, strand_tension
@@ -42,7 +42,7 @@ class MinimalStepper:
 
     def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.005, num_threads: int = 0):
         self.num_sims, self.timestep, self._robot = num_sims, timestep, robot
-        threads = min(num_threads or os.cpu_count() or 1, num_sims) if jax.default_backend() == "cpu" else 1
+        threads = min(num_threads or usable_cores(), num_sims) if jax.default_backend() == "cpu" else 1
         self._blocks = [part for part in np.array_split(np.arange(num_sims), threads) if len(part)]
         self._pool = ThreadPoolExecutor(len(self._blocks))
         rows = robot.num_strands + robot.num_segments

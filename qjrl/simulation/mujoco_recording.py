@@ -1,12 +1,11 @@
 """Joint velocities at every time step of commands played in C MuJoCo."""
 
-import os
-
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import batch
 
+from qjrl.cores import usable_cores
 from qjrl.robot import joint_positions
 from qjrl.simulation.cable_models import Play, Recording
 
@@ -19,7 +18,7 @@ def record_mujoco(play: Play, tip_force: np.ndarray | None = None, num_threads: 
         num_threads: 0 = all cores.
     """
     model = mujoco.MjModel.from_xml_string(play.mjcf)
-    sims = batch.Batch(model, play.num_sims, num_threads or os.cpu_count() or 1)
+    sims = batch.Batch(model, play.num_sims, num_threads or usable_cores())
     velocities, tip = (
         sims.bind("qvel"),
         sims.site("tip").xpos,

@@ -1,12 +1,12 @@
 """Settle with batches of C MuJoCo: a pool of simulations in threads, each refilled when it has come to rest."""
 
 import dataclasses
-import os
 
 import mujoco
 import numpy as np
 from mujoco import batch
 
+from qjrl.cores import usable_cores
 from qjrl.robot import build_mjcf
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import RawSettled, SettleConfig, SettleProblem
@@ -40,7 +40,7 @@ class Pool:
 
     def __post_init__(self):
         self.model = mujoco.MjModel.from_xml_string(build_mjcf(self.robot, self.config.solver))
-        self.batch = batch.Batch(self.model, self.size, self.config.num_threads or _usable_cores())
+        self.batch = batch.Batch(self.model, self.size, self.config.num_threads or usable_cores())
         self.positions, self.velocities = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.force, self.warning = self.batch.bind("actuator_force"), self.batch.warning
         self.tip = self.batch.site("tip")
@@ -94,11 +94,6 @@ class Pool:
 
     def _speed(self) -> np.ndarray:
         return np.abs(self.velocities).mean(axis=1)
-
-
-def _usable_cores() -> int:
-    """Those that a cluster's scheduler leaves to this process, not all of the machine's."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _empty_result(problem: SettleProblem) -> RawSettled:

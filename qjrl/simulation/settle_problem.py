@@ -15,7 +15,12 @@ Backend = Literal["mujoco", "mjx", "mjx-warp"]
 
 @dataclasses.dataclass(frozen=True)
 class SettleConfig:
-    """How to settle (group `simulation`). None of it moves the settled pose by more than 0.02 mm."""
+    """How to settle (group `simulation`).
+
+    With the shipped values the tip of 999 of 1,000 poses rests within 0.02 mm of where a long settle with the robot's own
+    damping ends, and of the other within 0.03 mm (experiments/bench); a looser speed tolerance or less damping, both allowed,
+    stop further away. The damping is the same from the first step to the last.
+    """
 
     backend: Backend = "mujoco"
     """The engine, see `Backend`."""

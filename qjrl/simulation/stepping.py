@@ -1,7 +1,6 @@
 """Step many arms in time, each with its own physical parameters: batches of C MuJoCo in threads."""
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
@@ -9,6 +8,7 @@ import mujoco
 import numpy as np
 from mujoco import batch
 
+from qjrl.cores import usable_cores
 from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
@@ -118,7 +118,7 @@ class MujocoStepper:
     def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.004, num_threads: int = 0):
         self.model = mujoco.MjModel.from_xml_string(build_mjcf(robot, SolverOptions(timestep=timestep)))
         self.num_sims, self.timestep, self.num_strands = num_sims, timestep, robot.num_strands
-        self._batch = batch.Batch(self.model, num_sims, num_threads or os.cpu_count() or 1)
+        self._batch = batch.Batch(self.model, num_sims, num_threads or usable_cores())
         self._positions, self._velocities = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._lengths, self._rates = self._batch.bind("ten_length"), self._batch.bind("ten_velocity")
         self._force, self._warning = self._batch.bind("actuator_force"), self._batch.warning

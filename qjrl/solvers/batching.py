@@ -1,12 +1,13 @@
 """Any number of rows through a function compiled for few: padded batches, one host thread a core."""
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
 import numpy as np
+
+from qjrl.cores import usable_cores
 
 SMALL_BATCH = 16
 """Rows of the batch that few rows are padded to, so that a single target need not wait for a full one."""
@@ -30,6 +31,6 @@ def in_batches(function: Callable[..., Any], batch_size: int, *rows: Any) -> Any
     first = run(chunks[0])  # alone: what must be compiled is compiled once
     if len(chunks) == 1:
         return jax.tree.map(lambda value: value[:count], first)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         parts = [first, *pool.map(run, chunks[1:])]
     return jax.tree.map(lambda *values: np.concatenate(values)[:count], *parts)

@@ -22,6 +22,7 @@ from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.simulated_arm import SimulatedArm, rehearse
+from qjrl.deployment import onnx_model
 from qjrl.deployment.controller import deployed_controller
 from qjrl.deployment.controller_export import ControllerExport, export_files, write_controller
 from qjrl.deployment.controller_parity import Rehearsal
@@ -57,6 +58,11 @@ class Config:
         """The record that is replayed, and its hash."""
         path = Path(self.deploy.replay)
         return {str(path): artifacts.hash_of_file(path)} if self.deploy.replay else {}
+
+    @property
+    def packages(self) -> dict[str, str]:
+        """Once the extra is installed, the same command writes what is missing."""
+        return onnx_model.missing_for(self.deploy.files.onnx)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

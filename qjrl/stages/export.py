@@ -5,6 +5,7 @@ import logging
 from pathlib import Path
 
 from qjrl import artifacts, progress
+from qjrl.deployment import onnx_model
 from qjrl.deployment.export import ExportConfig, export_controller, held_out_rows, write_export
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model
@@ -17,6 +18,11 @@ class Config:
     robot: dict
     export: ExportConfig
     seed: int
+
+    @property
+    def packages(self) -> dict[str, str]:
+        """Once the extra is installed, the same command writes what is missing."""
+        return onnx_model.missing_for(self.export.onnx)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

@@ -15,6 +15,7 @@ from qjrl.analysis.tables import as_text
 from qjrl.control.tension import pretension as search
 from qjrl.control.tension import pretension_numbers as numbers
 from qjrl.control.tension.check import TensionCheck, check_tension
+from qjrl.control.tension.path import read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
 from qjrl.robot import robot_from_mapping
@@ -30,6 +31,16 @@ class Config:
     simulation: SettleConfig
     pretension: PretensionConfig
     seed: int
+
+    def __post_init__(self):
+        if self.pretension.path is not None:  # a file that is no path is refused before any work
+            read_path(robot_from_mapping(self.robot), self.pretension.path)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Files that the stage reads beside its inputs, and their hashes."""
+        file = self.pretension.path
+        return {} if file is None else {file: artifacts.hash_of_file(Path(file))}
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

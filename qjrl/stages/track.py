@@ -14,6 +14,7 @@ from qjrl.analysis.tracking.figures import track_pictures
 from qjrl.analysis.tracking.report import headline, track_report
 from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
 from qjrl.analysis.tracking.viewer import track_viewer
+from qjrl.control.tracking.moving import moving_breaches, moving_message
 from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
@@ -54,6 +55,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         judged = perform(robot, config.simulation, settings, plan, nominal, advance)
     tracked = {name: _tracked(one) for name, one in judged.items()}
     metrics = _metrics(robot, settings, plan, tracked)
+    for name, one in judged.items():
+        breaches = moving_breaches(robot, one.played)
+        metrics["played"][name] |= {
+            "breaches": [dataclasses.asdict(breach) for breach in breaches],
+            "message": moving_message(breaches),
+        }
     drawn = track_pictures(
         _positions(plan, judged["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
     )

@@ -27,6 +27,7 @@ from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot import bends_from_cables
 from qjrl.robot.forward_model import pose_function
 from qjrl.robot.model_fitting import split_rows
+from qjrl.stages import export as export_stage
 
 pytestmark = pytest.mark.skipif(bool(onnx_model.missing_packages()), reason="needs the extra onnx, which dev includes")
 ROOT = Path(__file__).parent.parent.parent
@@ -187,6 +188,10 @@ def test_any_solver_can_be_exported_and_without_the_extra_one_line_says_what_is_
     (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("qjrl")]
     assert "jax2onnx is not installed: pip install 'qjrl[onnx]'" in line
     assert set(export.files) == {"forward_model.stablehlo", "inverse_kinematics.stablehlo"}
+    assert export_stage.Config({}, wanted, 0).packages == {"missing for ONNX": "jax2onnx"}  # installed, it runs again
+    assert export_stage.Config({}, CONFIG, 0).packages == {}
+    monkeypatch.undo()
+    assert export_stage.Config({}, wanted, 0).packages == {}
     assert export.metrics["parity"]["inverse_kinematics.stablehlo"]["random"]["same_answer_share"] == 1.0
 
 

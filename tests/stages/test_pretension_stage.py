@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from qjrl import artifacts
-from qjrl.config import conf_folder, read_yaml
+from qjrl import artifacts, pipeline
+from qjrl.config import ConfigError, as_mapping, build, conf_folder, read_yaml
 from qjrl.control.tension.pretension import PretensionConfig
 from qjrl.simulation import SettleConfig
 from qjrl.stages import pretension as stage
@@ -46,3 +46,28 @@ def test_a_path_that_no_pretension_keeps_is_named(tmp_path):
     assert metrics["at"]["message"].startswith("5 of 5 rows are not safe to play: strand_")
     assert "No pretension up to 30 N keeps every pose safe along" in (tmp_path / "report.html").read_text()
     assert (tmp_path / "path.png").exists() and not (tmp_path / "tip_map.png").exists()
+
+
+def test_another_path_in_the_same_file_runs_the_stage_again(tmp_path, caplog, monkeypatch):
+    monkeypatch.setattr(stage, "run", lambda config, inputs, out: None)
+    file, robot = tmp_path / "path.csv", read_yaml(conf_folder() / "robot" / "qj_22.yaml")
+    for text in ("0,0,0,0\n0.01,0,0.02,0\n", "0,0,0,0\n0.01,0,0.02,0\n", "0,0,0,0\n0.02,0,0.02,0\n"):
+        file.write_text(text)
+        config = stage.Config(robot, SettleConfig(), PretensionConfig(path=str(file)), 0)
+        with caplog.at_level("INFO"):
+            pipeline.run(["pretension"], {"pretension": config}, tmp_path / "run")
+    said = [line for line in caplog.messages if line.startswith("pretension: ")]
+    assert said[0] == "pretension: starts" and said[1] == "pretension: done before and unchanged, skipped"
+    assert said[2].startswith("pretension: configuration or inputs changed")
+    assert stage.Config(robot, SettleConfig(), PretensionConfig(), 0).files == {}
+
+
+def test_a_bad_path_is_refused_when_the_configuration_is_built(tmp_path):
+    tree = {"robot": read_yaml(conf_folder() / "robot" / "qj_22.yaml"), "simulation": {}, "seed": 0}
+    (tmp_path / "short.csv").write_text("0,0,0\n")
+    for path, words in {
+        "nowhere.csv": "cannot be read",
+        str(tmp_path / "short.csv"): "allowed: 4 cable lengths",
+    }.items():
+        with pytest.raises(ConfigError, match=rf"^pretension\.path: .*{words}"):
+            build(stage.Config, tree | {"pretension": as_mapping(PretensionConfig()) | {"path": path}})

@@ -73,7 +73,9 @@ def test_a_file_is_followed_and_everything_promised_is_written(folder, caplog) -
     }
     assert abs(main["lag_ms"]) < abs(metrics["played"]["without lead"]["lag_ms"])
     np.testing.assert_allclose(raw["planned_pose"][[0, -1], :3], [[-0.02, 0, 0.225], [0.02, 0, 0.225]], atol=1e-9)
+    assert [one["breaches"] for one in metrics["played"].values()] == [[]] * 5 and main["message"] == ""
     page = (out / "track.html").read_text()
+    assert "No strand went slack or reached its strength and no motor was exceeded in any of these." in page
     assert "<canvas" in page and "http://" not in page.replace("http://www.w3.org", "")
     assert all(
         (out / f"{name}.png").stat().st_size > 8000 for name in ("path", "cables", "error", "orientation", "tension")

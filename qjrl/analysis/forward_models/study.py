@@ -35,7 +35,7 @@ class ModelStudyConfig:
     """Rows fitted for the learning curves; a size above what is there becomes what is there."""
     held_out: Annotated[float, Range(above=0.0, high=0.5)] = 0.1
     """Share of the settled rows that no fit sees."""
-    most_visits: Annotated[int, Range(1)] = 2_000_000
+    most_visits: Annotated[int, Range(1)] = 1_200_000
     """Rows times epochs of one fit of the paper's network at most: many rows get fewer epochs."""
     ablation_rows: NumRows = 10_000
     """Rows fitted for the ablation."""

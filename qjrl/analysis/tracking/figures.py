@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from qjrl.analysis.canvas import new_figure, new_plot, style
-from qjrl.analysis.palette import LIGHT, series_colour
+from qjrl.analysis.palette import LIGHT, SERIES, series_colour
 from qjrl.analysis.tracking.tracked import Tracked
 
 _VIEWS = (("x", "y", 0, 1), ("x", "z", 0, 2), ("y", "z", 1, 2))
@@ -108,11 +108,15 @@ def cables_over_time(
     for index, (values, bound, label) in enumerate(zip(derivatives, bounds, labels, strict=True)):
         axes = _panel(figure.add_subplot(1, 3, index + 1), "time [s]", label)
         for cable, name in enumerate(names):
-            axes.plot(times, 1e3 * values[:, cable], color=series_colour(cable), linewidth=1.1, label=name)
+            dashes = "-" if cable < len(SERIES) else (0, (4, 1.6))  # where colours come again
+            axes.plot(
+                times, 1e3 * values[:, cable], linestyle=dashes, color=series_colour(cable), linewidth=1.1, label=name
+            )
         for sign in (-1.0, 1.0):
             axes.axhline(sign * 1e3 * bound, color=LIGHT["bad"], linewidth=1.2, linestyle=(0, (4, 3)))
-        if index == 0:
-            axes.legend(ncols=4, fontsize=7, loc="lower center")
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names), fontsize=8.0
+    )
     return figure
 
 

@@ -27,7 +27,7 @@ def track_report(
     """
     plan, rest, played = metrics["plan"], metrics["at_rest"], metrics["played"]
     main = played["planned"]
-    holds = main["is_finite"] and main["position_p99_mm"] <= 1e3 * accepted
+    holds = main["is_finite"] and main["position_p99_mm"] <= 1e3 * accepted and not main["message"]
     return Report(
         title=title,
         headline=headline(metrics, accepted),
@@ -44,9 +44,15 @@ def track_report(
             Number("orientation, 99 %", main["orientation_p99_deg"], "°"),
             Number("at rest on the path", rest["position_p99_mm"], "mm", "99 %: the forward model's own error"),
         ),
+        warnings=(f"While moving: {main['message']}.",) if main["message"] else (),
         sections=(
             Section("Watch it", pictures=(Picture(animation, _VIEWER_CAPTION, is_wide=True),)),
-            Section("Numbers", _TEXT, numbers=_plan_numbers(plan, rest), tables=(tracking_table(played),)),
+            Section(
+                "Numbers",
+                f"{_TEXT}\n\n{moving_text(played)}",
+                numbers=_plan_numbers(plan, rest, main),
+                tables=(tracking_table(played),),
+            ),
             Section(
                 "Pictures",
                 pictures=tuple(
@@ -64,13 +70,29 @@ def headline(metrics: Mapping[str, Any], accepted: float) -> str:
     main = metrics["played"]["planned"]
     if not main["is_finite"]:
         return "The simulation diverged on this trajectory"
-    word = "stays within" if main["position_p99_mm"] <= 1e3 * accepted else "does not stay within"
-    return (
-        f"The tip {word} {1e3 * accepted:g} mm of the moving target 99 % of the time: {main['position_p99_mm']:.2f} mm"
+    is_within = main["position_p99_mm"] <= 1e3 * accepted
+    said = (
+        f"The tip {'stays' if is_within else 'does not stay'} within {1e3 * accepted:g} mm of the moving target 99 % of "
+        f"the time: {main['position_p99_mm']:.2f} mm"
     )
+    return f"{said}, {'but' if is_within else 'and'} {main['message']}" if main["message"] else said
 
 
-def _plan_numbers(plan: Mapping[str, Any], rest: Mapping[str, Any]) -> tuple[Number, ...]:
+def moving_text(played: Mapping[str, Mapping[str, Any]]) -> str:
+    """What strands and motors did in every performance, one line."""
+    wrong = {
+        name: one["message"] if one["is_finite"] else "the simulation diverged"
+        for name, one in played.items()
+        if one["message"] or not one["is_finite"]
+    }
+    said = [f"“{name}”: {message}." for name, message in wrong.items()]
+    if len(wrong) < len(played):
+        where = "in the others" if wrong else "in any of these"
+        said.append(f"No strand went slack or reached its strength and no motor was exceeded {where}.")
+    return " ".join(said)
+
+
+def _plan_numbers(plan: Mapping[str, Any], rest: Mapping[str, Any], main: Mapping[str, Any]) -> tuple[Number, ...]:
     return (
         Number("feasible duration", plan["quickest_s"], "s", f"speed limit alone: {plan['least_s']:.2f} s"),
         Number("cable speed", 100 * plan["cable_speed_share"], "%", "of the motors'"),
@@ -78,6 +100,8 @@ def _plan_numbers(plan: Mapping[str, Any], rest: Mapping[str, Any]) -> tuple[Num
         Number("jerk", 100 * plan["cable_jerk_share"], "%", "of its limit"),
         Number("error on the model", 1e3 * plan["model_position_max_mm"], "µm", "largest, at all commands"),
         Number("tension at rest", f"{rest['tension_min_N']:.1f}–{rest['tension_max_N']:.1f}", "N"),
+        Number("tension while moving", f"{main['tension_min_N']:.1f}–{main['tension_max_N']:.1f}", "N"),
+        Number("largest motor force while moving", main["motor_force_max_N"], "N"),
     )
 
 

@@ -102,7 +102,7 @@ class TensionCheck:
         worst = int(np.argmax(np.where(has_breach, np.where(np.isnan(severity), np.inf, severity), -np.inf)))
         row, column = np.unravel_index(worst, has_breach.shape)
         num_rows = int(has_breach.any(axis=1).sum())
-        name = _name(self.robot, kind, int(column))
+        name = bearer_name(self.robot, kind, int(column))
         return Breach(kind, int(row), name, float(values[row, column]), float(bound), num_rows)
 
 
@@ -122,7 +122,8 @@ def check_tension(
     return TensionCheck(robot, settle(robot, cable_lengths, config=simulation, advance=advance), least_tension)
 
 
-def _name(robot: Robot, kind: Kind, column: int) -> str:
+def bearer_name(robot: Robot, kind: Kind, column: int) -> str:
+    """Of the strand or cable in a column of what is checked; a row that does not settle has none."""
     if kind == "unsettled":
         return ""
     if kind == "motor":

@@ -6,7 +6,6 @@ motors and, since tense strands push a bent joint further, drives the arm toward
 """
 
 import dataclasses
-from pathlib import Path
 from typing import Annotated
 
 import jax.numpy as jnp
@@ -14,7 +13,8 @@ import numpy as np
 
 from qjrl.config import Range
 from qjrl.control.tension.check import TensionCheck, check_tension
-from qjrl.control.tension.poses import Law, PoseSet, path_poses, workspace_poses
+from qjrl.control.tension.path import path_poses
+from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
@@ -39,9 +39,9 @@ class PretensionConfig:
     """Share of those poses with all segments at their limits, in random directions. There the strands that cross all joints
     lose most, and hardly a random pose comes near; ours."""
     num_poses: Annotated[int, Range(8, 1_000_000)] = 512
-    """Poses over the workspace, powers of two are the most even; of a path, at most so many of its rows."""
+    """Poses over the workspace, powers of two are the most even; of a path, at most so many of its rows or waypoints."""
     path: str | None = None
-    """A .csv or .npz of cable lengths or poses to look at instead of the workspace."""
+    """A .csv or .npz of cable lengths or poses to look at instead of the workspace, see `qjrl.control.tension.path.read_path`."""
     pretensions: tuple[Newtons, ...] = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 60.0, 100.0, 150.0)
     """Of the curve [N], rising; the search goes up to the last. The robot's own is added."""
     resolution: Annotated[float, Range(above=0.0, high=100.0)] = 0.25
@@ -103,7 +103,7 @@ def poses_to_keep(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:
         ConfigError: as `path_poses`.
     """
     if config.path is not None:
-        return path_poses(robot, Path(config.path), config.num_poses)
+        return path_poses(robot, config.path, config.num_poses, seed)
     return workspace_poses(robot, config.law, config.num_poses, seed, config.rim_share)
 
 

@@ -17,7 +17,7 @@ from qjrl.config import ConfigError
 FILE_KINDS = (".csv", ".npz")
 POSITION, QUATERNION, COLUMNS = ["x", "y", "z"], ["qw", "qx", "qy", "qz"], ["xx", "xy", "xz", "yx", "yy", "yz"]
 """Names of a CSV's columns; COLUMNS are the first two columns of the rotation."""
-_ALLOWED = f"{','.join(POSITION)} [m], alone or with {','.join(QUATERNION)} or with {','.join(COLUMNS)}"
+ALLOWED_COLUMNS = f"{','.join(POSITION)} [m], alone or with {','.join(QUATERNION)} or with {','.join(COLUMNS)}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,20 +73,38 @@ def _steps(points: Points) -> np.ndarray:
     return np.hypot(steps, 0.1 * (points.rotation[:-1].inv() * points.rotation[1:]).magnitude())
 
 
-def _read_csv(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+def read_cells(path: Path) -> list[list[str]]:
+    """Rows of a CSV, empty lines left out.
+
+    Raises:
+        ConfigError: one line that names the file.
+    """
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
+            return [[cell.strip() for cell in row] for row in csv.reader(file) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-    header = [name.strip() for name in rows[0]] if rows else []
+
+
+def numbers_of(path: Path, rows: list[list[str]], width: int) -> np.ndarray:
+    """Cells as numbers (n, width).
+
+    Raises:
+        ConfigError: a row of another width, or a cell that is no number.
+    """
+    try:
+        return np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, width)
+    except ValueError as error:
+        raise ConfigError(f"{path}: a row does not hold {width} numbers ({error})") from error
+
+
+def _read_csv(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    rows = read_cells(path)
+    header = rows[0] if rows else []
     turns = [names for names in ([], QUATERNION, COLUMNS) if sorted(header) == sorted(POSITION + names)]
     if not turns:
-        raise ConfigError(f"{path}: has the columns {','.join(header) or 'of no header'}, allowed: {_ALLOWED}")
-    try:
-        values = np.array([[float(cell) for cell in row] for row in rows[1:]]).reshape(-1, len(header))
-    except ValueError as error:
-        raise ConfigError(f"{path}: a row does not hold {len(header)} numbers ({error})") from error
+        raise ConfigError(f"{path}: has the columns {','.join(header) or 'of no header'}, allowed: {ALLOWED_COLUMNS}")
+    values = numbers_of(path, rows[1:], len(header))
     places = [header.index(name) for name in POSITION + turns[0]]
     return values[:, places[:3]], values[:, places[3:]] if turns[0] else None
 

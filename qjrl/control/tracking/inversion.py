@@ -91,7 +91,7 @@ def _refuse_unreachable(robot, path: PosePath, config: PathInversionConfig, leng
         return
     first, worst = missed[0], missed[np.argmax(position[missed] + ROTATION_WEIGHT * orientation[missed])]
     raise ConfigError(
-        f"track.path: {len(missed)} of {len(position)} waypoints cannot be reached, the first is number {first} at "
+        f"{path.key}: {len(missed)} of {len(position)} waypoints cannot be reached, the first is number {first} at "
         f"{1e3 * path.distance[first]:.1f} mm along the path; number {worst} is missed by {1e3 * position[worst]:.2f} mm "
         f"and {np.degrees(orientation[worst]):.2f} deg"
         + (", with a joint beyond its limit" if is_outside[missed].any() else "")

@@ -83,6 +83,8 @@ class PosePath:
     constraint: Constraint
     at: Callable[[np.ndarray], np.ndarray]
     """Distances (k,) along the path [m] -> poses (k, 9)."""
+    key: str
+    """The setting that names it, for messages."""
 
     @property
     def length(self) -> float:
@@ -95,19 +97,23 @@ class PosePath:
         return bool(np.allclose(self.pose[0], self.pose[-1], atol=1e-6))
 
 
-def make_path(source: str, config: ShapeConfig) -> PosePath:
+def make_path(source: str, config: ShapeConfig, key: str = "track.path") -> PosePath:
     """The waypoints of a path.
 
     Args:
         source: "circle", "line", or a file with at least two points, which a smooth curve joins. A .csv has columns x, y, z
             [m] and, where orientation counts, qw, qx, qy, qz or the first two columns of the rotation xx, xy, xz, yx, yy,
             yz; an .npz has arrays `position` (n, 3), with or without `quaternion` (n, 4), w first, or `pose` (n, 9).
+        key: the setting that names it, for messages.
     Raises:
         ConfigError: unknown source; the file is missing, has other columns, non-finite values or too few points; or the path is shorter
             than its spacing.
     """
-    file = path_file(source)
-    curve = _SHAPES[source](config) if file is None else smooth_curve(read_points(file))
+    file = path_file(source, key)
+    try:
+        curve = _SHAPES[source](config) if file is None else smooth_curve(read_points(file))
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {error}") from error
     shape = _Shape(
         config, curve, is_file=file is not None, up=config.circle.normal if source == "circle" else (0, 0, 1)
     )
@@ -115,18 +121,18 @@ def make_path(source: str, config: ShapeConfig) -> PosePath:
     length = shape.distances(parameter)
     if length[-1] < 2.0 * config.spacing:
         raise ConfigError(
-            f"track.path: {source} is {1e3 * length[-1]:.3g} mm long, allowed: at least {2e3 * config.spacing:.3g} mm, "
-            "twice track.shape.spacing"
+            f"{key}: {source} is {1e3 * length[-1]:.3g} mm long, allowed: at least {2e3 * config.spacing:.3g} mm, twice the "
+            "waypoints' spacing"
         )
     distance = np.linspace(0.0, length[-1], max(math.ceil(length[-1] / config.spacing), 16) + 1)
 
     def at(distance: np.ndarray) -> np.ndarray:
         return shape.poses(np.interp(distance, length, parameter))
 
-    return PosePath(at(distance), distance, shape.constraint, at)
+    return PosePath(at(distance), distance, shape.constraint, at, key)
 
 
-def path_file(source: str) -> Path | None:
+def path_file(source: str, key: str = "track.path") -> Path | None:
     """The file that a path is read from, None for a shape.
 
     Raises:
@@ -136,7 +142,7 @@ def path_file(source: str) -> Path | None:
         return None
     if Path(source).suffix not in FILE_KINDS:
         known = f"{', '.join(_SHAPES)}, or a file that ends in {' or '.join(FILE_KINDS)}"
-        raise ConfigError(f"track.path: got '{source}', allowed: {known}")
+        raise ConfigError(f"{key}: got '{source}', allowed: {known}")
     return Path(source)
 
 

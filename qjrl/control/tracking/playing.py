@@ -175,12 +175,16 @@ def _approach(
     """From rest at home to rest at the begin of the plans."""
     count, speed = len(performances), float(robot.motor_speed)
     home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
-    at_home = _strands(robot, np.zeros((count, 1, robot.num_cables)))[:, 0]
+    home_lengths = np.zeros(robot.num_cables)
+    at_home = _strands(robot, np.tile(home_lengths, (count, 1, 1)))[:, 0]
     stepper.reset(np.arange(count), np.tile(home, (count, 1)), at_home, PhysicalParameters.nominal(robot, count))
     starts = [one.trajectory.at(np.zeros(1))[0] for one in performances]
-    ramps = [time_path(straight_path(start), speed, limits, _CALM) for start in starts]
-    times = stepper.timestep * np.arange(1, math.ceil(max(one.duration for one in ramps) / stepper.timestep) + 1)
-    strands = _strands(robot, np.stack([one.at(times) for one in ramps]))
+    ramps = [time_path(straight_path(start), speed, limits, _CALM) if start.any() else None for start in starts]
+    longest = max(one.duration if one else 0.0 for one in ramps)  # a plan that begins at home needs none
+    times = stepper.timestep * np.arange(1, max(1, math.ceil(longest / stepper.timestep)) + 1)
+    strands = _strands(
+        robot, np.stack([one.at(times) if one else np.tile(home_lengths, (len(times), 1)) for one in ramps])
+    )
     for number in range(len(times)):
         stepper.step(strands[:, number], 1)
     quiet = 0

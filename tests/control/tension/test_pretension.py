@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from arms import arm_named
 
-from qjrl.artifacts import write_arrays
-from qjrl.config import ConfigError
 from qjrl.control.tension import pretension as search
 from qjrl.control.tension.check import TensionCheck, check_tension
-from qjrl.control.tension.poses import path_poses, single_segment_poses, workspace_poses
+from qjrl.control.tension.poses import single_segment_poses, workspace_poses
 from qjrl.control.tension.pretension import PretensionConfig, Survey, choose, needed_pretension, survey
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.settling import SettleResult
@@ -113,41 +111,3 @@ def test_poses_are_nested_and_within_the_limit():
     radius = np.linalg.norm(single.reshape(2, 3, 4, 2, 2), axis=-1)
     assert np.all(radius[0, :, :, 1] == 0.0) and np.all(radius[1, :, :, 0] == 0.0)
     np.testing.assert_allclose(radius[0, 2, :, 0], largest)
-
-
-def test_a_path_is_read_as_lengths_or_poses(tmp_path):
-    lengths = POSES.cable_lengths
-    write_arrays(tmp_path / "trajectory.npz", {"time": np.arange(16), "cable_lengths": lengths})
-    np.savetxt(tmp_path / "named.csv", lengths, delimiter=",", header="c1,c5,c3,c7", comments="")
-    np.testing.assert_array_equal(path_poses(ARM, tmp_path / "trajectory.npz", 100).cable_lengths, lengths)
-    np.testing.assert_allclose(path_poses(ARM, tmp_path / "named.csv", 100).cable_lengths, lengths, atol=1e-15)
-    thinned = path_poses(ARM, tmp_path / "trajectory.npz", 3)
-    np.testing.assert_array_equal(thinned.cable_lengths, lengths[[0, 8, 15]])
-    np.testing.assert_allclose(thinned.nominal_pose, POSES.nominal_pose[[0, 8, 15]], atol=1e-12)
-
-
-@pytest.mark.slow
-def test_poses_of_a_path_are_inverted_or_refused(tmp_path):
-    write_arrays(tmp_path / "poses.npz", {"pose": POSES.nominal_pose[:3]})
-    found = path_poses(ARM, tmp_path / "poses.npz", 100)
-    np.testing.assert_allclose(found.nominal_pose[:, :3], POSES.nominal_pose[:3, :3], atol=1e-4)
-    (tmp_path / "far.csv").write_text("0,0,9,1,0,0,0,1,0\n")
-    with pytest.raises(ConfigError, match="1 poses that the closed form does not reach"):
-        path_poses(ARM, tmp_path / "far.csv", 10)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "said"),
-    [
-        ("short.csv", "0,0,0\n", "rows of shape (1, 3)"),
-        ("words.csv", "0,0,0,0\n0,x,0,0\n", "could not convert"),
-        ("nan.csv", "0,0,0,0\n0,nan,0,0\n", "not finite at row 1"),
-        ("missing.npz", None, "does not exist"),
-    ],
-)
-def test_a_path_that_cannot_be_used_is_refused_in_one_line(tmp_path, name, text, said):
-    if text is not None:
-        (tmp_path / name).write_text(text)
-    with pytest.raises(ConfigError, match=r"pretension\.path") as error:
-        path_poses(ARM, tmp_path / name, 10)
-    assert said in str(error.value) and "\n" not in str(error.value)
