@@ -32,7 +32,8 @@ from qjrl.control.judging import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.learning.fitting import FitState, FittedNetwork, Rows, make_optimiser, mean_squared_error, train_epoch
-from qjrl.learning.ppo.train import PROGRESS, train
+from qjrl.learning.ppo.books import PROGRESS
+from qjrl.learning.ppo.train import train
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, load_robot
 from qjrl.robot.forward_model import (

@@ -1,4 +1,4 @@
-"""Stage `residual`: what the trained policy does over time, what makes its base err, and what in its training matters."""
+"""Stage `residual`: what the policy and its rival do, what makes the base err, and what in the training matters."""
 
 import dataclasses
 import logging
@@ -12,7 +12,14 @@ from qjrl.analysis.residual import figures, tables
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.studies.parameter_effects import one_at_a_time
-from qjrl.control.studies.residual import ResidualStudyConfig, ablate, effects, make_subject, over_time
+from qjrl.control.studies.residual import (
+    ResidualStudyConfig,
+    ablate,
+    effects,
+    make_subject,
+    over_time,
+    tuning,
+)
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
@@ -41,6 +48,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
         figure = figures.errors_over_time(of_set, config.policy.environment.control_period)
         save_png(figure, out / f"errors_{name}.png", dpi=110)
+    with progress.track(len(settings.rival_gains), "the rival's gain") as advance:
+        tuned = tuning(subject, settings.rival_gains, lambda: advance(1))
     parameters = one_at_a_time(config.policy.environment.randomisation)
     with progress.track(len(parameters), "one parameter at a time") as advance:
         alone = effects(subject, lambda: advance(1))
@@ -51,8 +60,13 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         name: 1e3 * float(np.median(traces["floor"][-scored:, subject.targets["target_set"] == index]))
         for index, name in enumerate(TARGET_SETS)
     }
-    artifacts.write_json(out / "metrics.json", {"floor_mm": floor, "effects": alone, "ablations": ablated})
-    written = [tables.effects_table(alone), *([tables.ablation_table(ablated)] if ablated else [])]
+    found = {"floor_mm": floor, "rival": tuned, "effects": alone, "ablations": ablated}
+    artifacts.write_json(out / "metrics.json", found)
+    written = [
+        *([tables.tuning_table(tuned)] if tuned else []),
+        tables.effects_table(alone),
+        *([tables.ablation_table(ablated)] if ablated else []),
+    ]
     artifacts.write_bytes(out / "table.md", "\n".join(map(as_markdown, written)).encode())
     for table in written:
         log.info("%s\n", as_text(table))

@@ -34,7 +34,8 @@ BASE, POLICY = "learned_ik", "learned_ik+residual"
 VARIED = ("strand_friction", "gain_scale", "encoder_noise_deg")
 STANDSTILL = 1e-30
 """A rate of learning at which PPO moves nothing."""
-SETTINGS = ResidualStudyConfig(num_targets=1, share=0.5, ablations=("as it is",))
+GAIN = EnvironmentConfig().integral.gain
+SETTINGS = ResidualStudyConfig(num_targets=1, rival_gains=(0.5 * GAIN, GAIN), share=0.5, ablations=("as it is",))
 CONFIG = PolicyConfig(
     base="learned",
     num_envs=2,
@@ -138,6 +139,14 @@ def test_with_nothing_varied_the_error_is_that_without_randomisation(finished):
     for name in ("strand_friction", "gain_scale", "all"):
         assert found[name] != found["nothing"]
     assert effects(subject(1), lambda: None)["all"] != found["all"]
+
+
+def test_the_rival_is_judged_with_every_gain(finished):
+    traces, found = artifacts.load(finished / "traces.npz"), artifacts.load(finished / "metrics.json")["rival"]
+    assert list(found) == [str(0.5 * GAIN), str(GAIN)]
+    scored = 1e3 * traces["learned_ik+integral"][-CONFIG.environment.scored_steps :].mean(axis=0)
+    assert found[str(GAIN)]["uniform_median_mm"] == pytest.approx(scored[0])  # the default gain is the rival's own
+    assert found[str(0.5 * GAIN)] != found[str(GAIN)]
 
 
 def test_an_ablation_that_has_learnt_nothing_is_its_base_and_is_trained_once(finished, monkeypatch):

@@ -7,6 +7,16 @@ from qjrl.analysis.controllers.outcomes import TARGET_SET_LABELS
 from qjrl.analysis.tables import Column, Table
 
 
+def tuning_table(found: Mapping[float, Mapping[str, float]]) -> Table:
+    """The rival's errors by the gain of its integral."""
+    columns = (
+        Column("gain of the rival", 2, "1/s"),
+        *(column for label in TARGET_SET_LABELS.values() for column in _columns(label)),
+    )
+    rows = tuple((gain, *_cells(errors)) for gain, errors in found.items())
+    return Table(columns, rows, note="Learned IK with integral feedback.")
+
+
 def effects_table(effects: Mapping[str, Mapping[str, float]]) -> Table:
     """The base's errors under each randomised parameter alone."""
     columns = (

@@ -1,7 +1,7 @@
-"""Errors over time above the encoders' floor, the base under each randomised parameter alone, and ablations."""
+"""Errors over time above the encoders' floor, the rival's tuning, the base under each parameter alone, and ablations."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,6 +39,8 @@ class ResidualStudyConfig:
 
     num_targets: Annotated[int, Range(1, 100_000)] = 200
     """Held-out targets of each set."""
+    rival_gains: tuple[Annotated[float, Range(above=0.0)], ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
+    """Gains [1/s] with which the rival is judged, to see that it is tuned."""
     share: Annotated[float, Range(above=0.0, high=1.0)] = 0.25
     """Share of the training's steps that every ablation has."""
     ablations: tuple[str, ...] = ABLATIONS
@@ -104,6 +106,17 @@ def _floor(subject: Subject) -> np.ndarray:
     keys = jax.random.split(jax.random.key(subject.seed + _STUDY_SEED), len(steps))
     floor = jax.jit(jax.vmap(lambda frames, key: encoder_floor(subject.robot, bends, noise, frames, key)))
     return np.where(since >= 0.0, floor(jnp.maximum(frames, 1.0), keys), np.nan)
+
+
+def tuning(subject: Subject, gains: Iterable[float], advance: Callable[[], None]) -> dict[float, dict[str, float]]:
+    """Gain of the rival's integral [1/s] -> its errors."""
+    found = {}
+    for gain in gains:
+        integral = dataclasses.replace(subject.config.environment.integral, gain=gain)
+        environment = dataclasses.replace(subject.config.environment, integral=integral)
+        found[gain] = errors_of(subject.judge(environment, RIVAL), subject.targets["target_set"])
+        advance()
+    return found
 
 
 def effects(subject: Subject, advance: Callable[[], None]) -> dict[str, dict[str, float]]:
