@@ -57,7 +57,7 @@ class LeastSquaresConfig:
     least_tension: Annotated[float, Range(low=0.0)] = 2.0
     """What every strand shall carry at rest [N], predicted by statics: another answer is sought for a solved target whose
     answer leaves a strand less, and the one of largest least tension is taken. 0: never."""
-    tension_round: RoundConfig = RoundConfig(8, 25)
+    tension_round: RoundConfig = RoundConfig(8, 12)
     """Descents of such a target."""
     num_candidates: Annotated[int, Range(1, 100_000)] = 4096
     """Random poses; the starts of a target are the nearest of them."""

@@ -34,7 +34,7 @@ class UnreachableConfig:
     """Distance of a far target from the base over the straight arm's length; its direction and rotation are kept."""
     turn: tuple[float, float] = (math.radians(120.0), math.radians(180.0))
     """Angle by which a turned target's rotation differs from the reachable one, about a random axis [rad]."""
-    thorough: RoundConfig = RoundConfig(256, 200)
+    thorough: RoundConfig = RoundConfig(256, 60)
     """A round more than the solver has: what it finds is taken for the best there is."""
 
 
