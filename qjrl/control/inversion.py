@@ -59,6 +59,7 @@ def solve_target_set(
         "predicted_orientation_error": np.asarray(answer.orientation_error),
         "converged": np.asarray(answer.converged),
         "status": np.asarray(answer.status),
+        "least_tension": np.asarray(answer.least_tension),
     }
 
 

@@ -17,6 +17,7 @@ from qjrl.robot.verbs import (
     joint_positions,
     strand_commands,
     strand_lengths,
+    strand_tension,
 )
 
 __all__ = [
@@ -35,4 +36,5 @@ __all__ = [
     "robot_hash",
     "strand_commands",
     "strand_lengths",
+    "strand_tension",
 ]

@@ -18,6 +18,7 @@ VERBS = {
         "strand_lengths": cables.strand_lengths,
         "strand_commands": cables.strand_commands,
         "equilibrium": statics.equilibrium,
+        "strand_tension": statics.strand_tension,
         "joint_positions": coordinates.joint_positions,
         "configuration_from_joint_positions": coordinates.bends_from_joint_positions,
         "build_mjcf": mjcf.build_mjcf,
@@ -64,6 +65,11 @@ def strand_commands(robot: Robot, lengths: jax.Array) -> jax.Array:
 def equilibrium(robot: Robot, lengths: jax.Array) -> Equilibrium:
     """Where a robot as described rests when it holds cable lengths (num_cables,) [m], and what would move it from there."""
     return _verb(robot, "equilibrium")(robot, lengths)
+
+
+def strand_tension(robot: Robot, lengths: jax.Array, steps: int = statics.STEPS) -> jax.Array:
+    """Tension (num_strands,) [N] of a robot as described that rests at cable lengths (num_cables,) [m], without simulation."""
+    return _verb(robot, "strand_tension")(robot, lengths, steps)
 
 
 def joint_positions(robot: Robot, configuration: jax.Array) -> jax.Array:

@@ -3,7 +3,7 @@
 from qjrl.solvers.adam import AdamConfig, solve_adam
 from qjrl.solvers.fabrik import FabrikConfig, solve_fabrik
 from qjrl.solvers.least_squares import LeastSquaresConfig, draw_candidates, solve_least_squares
-from qjrl.solvers.result import SolveResult, Status
+from qjrl.solvers.result import SolveResult, Status, count_statuses
 
 __all__ = [
     "AdamConfig",
@@ -11,6 +11,7 @@ __all__ = [
     "LeastSquaresConfig",
     "SolveResult",
     "Status",
+    "count_statuses",
     "draw_candidates",
     "solve_adam",
     "solve_fabrik",

@@ -12,13 +12,19 @@ from flax import struct
 from qjrl.config import Range
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.quaternion_arm.joint import vectors_from_bends
-from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
-from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.batching import in_batches
+from qjrl.solvers.candidates import Candidates, nearest_candidates, random_candidates
 from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
 from qjrl.solvers.model_tip import TipFunction, exact_tip_function, lengths_of, tip_function
-from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
+from qjrl.solvers.result import (
+    SolveResult,
+    Status,
+    check_initial_bends,
+    check_targets,
+    describe_solution,
+    least_tension,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +54,11 @@ class LeastSquaresConfig:
     """As `descent.damping`, of descents on a model: they begin next to their answers."""
     nearest_iterations: Annotated[int, Range(0, 10_000)] = 60
     """Steps of a last descent, of targets that no round has solved, to the nearest feasible pose."""
+    least_tension: Annotated[float, Range(low=0.0)] = 2.0
+    """What every strand shall carry at rest [N], predicted by statics: another answer is sought for a solved target whose
+    answer leaves a strand less, and the one of largest least tension is taken. 0: never."""
+    tension_round: RoundConfig = RoundConfig(8, 12)
+    """Descents of such a target."""
     num_candidates: Annotated[int, Range(1, 100_000)] = 4096
     """Random poses; the starts of a target are the nearest of them."""
     batch_size: Annotated[int, Range(1, 65536)] = 256
@@ -56,16 +67,6 @@ class LeastSquaresConfig:
     def __post_init__(self):
         if not self.rounds:
             raise ValueError("rounds: got [], allowed: at least one round")
-
-
-@struct.dataclass
-class Candidates:
-    """Poses to start from."""
-
-    vectors: np.ndarray
-    """(candidates, segments, 2) bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
-    features: np.ndarray
-    """(candidates, 9) their poses scaled so that squared distances compare like squared weighted errors [m]."""
 
 
 def solve_least_squares(
@@ -79,7 +80,9 @@ def solve_least_squares(
     """Cable lengths whose pose under `model` is nearest to each target, joint limits kept.
 
     A target out of reach gets the pose of least weighted squared error that any start finds, with the status NEAREST.
-    The bends stay within their limit, and so do the cables within their strokes; the forces are the physics' business.
+    The bends stay within their limit, and so do the cables within their strokes. Strands only pull: of a solved target's
+    answers (an arm of more than three segments has a family of them) one that keeps all strands taut is sought. Where none
+    is found the answer stays solved, and its `least_tension` says so.
 
     Args:
         robot: the arm.
@@ -117,13 +120,13 @@ def solve_least_squares(
     if len(rows) and config.nearest_iterations:
         starts, steps = best.vectors[rows][:, None], config.nearest_iterations
         best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], steps, is_exact=True))
-    return _judge(robot, model, config, checked, best)
+    result = _judge(robot, model, config, checked, best)
+    return _tighten(robot, model, config, candidates, checked, result)
 
 
 def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfig(), seed: int = 0) -> Candidates:
     """Poses all over the workspace for targets to start from: theta and phi uniform."""
-    bends, poses = _random_poses(robot, jax.random.key(seed), config.num_candidates)
-    return Candidates(vectors_from_bends(np.asarray(bends)), _features(config, np.asarray(poses)))
+    return random_candidates(robot, config.num_candidates, config.descent.rotation_weight, seed)
 
 
 @struct.dataclass
@@ -151,34 +154,8 @@ def _starts(
     """Starts (rows, starts, segments, 2) of a round: what was begun, then the nearest candidates not used yet."""
     counts = [one_round.num_starts for one_round in config.rounds]
     used, fresh = sum(counts[:number]), counts[number] - bool(is_begun)
-    drawn = candidates.vectors[_nearest(config, candidates, targets, used, fresh)]
+    drawn = candidates.vectors[nearest_candidates(candidates, config.descent.rotation_weight, targets, used, fresh)]
     return np.concatenate([begun[:, None], drawn], axis=1) if is_begun else drawn
-
-
-def _nearest(config: LeastSquaresConfig, candidates: Candidates, targets: np.ndarray, used: int, count: int):
-    """The candidates that rank `used` ... `used + count` by distance to each target, (rows, count)."""
-    features = _features(config, targets)
-    if (used, count) == (0, 1):
-        function = functools.partial(_nearest_rows, candidates.features)
-        return in_batches(function, _RANKED_TOGETHER, features)[:, None]
-    if count == 0:
-        return np.empty((len(targets), 0), int)
-    ranks = (used + np.arange(count)) % len(candidates.features)
-    squares = (np.sum((row - candidates.features) ** 2, axis=1) for row in features)
-    return np.stack([np.argsort(row)[ranks] for row in squares])
-
-
-@jax.jit
-def _nearest_rows(candidates: jax.Array, targets: jax.Array) -> jax.Array:
-    """Index of the nearest candidate; the maximum over a mask, since XLA's argmin is slow on a CPU."""
-    distances = 0.5 * jnp.sum(candidates**2, axis=1) - targets @ candidates.T
-    is_nearest = distances <= jnp.min(distances, axis=1, keepdims=True)
-    return jnp.max(jnp.where(is_nearest, jnp.arange(len(candidates), dtype=jnp.int32), 0), axis=1)
-
-
-def _features(config: LeastSquaresConfig, poses: np.ndarray) -> np.ndarray:
-    """Frames an angle e apart differ by e in their columns, so these differ by the weighted error; single precision."""
-    return np.concatenate([poses[:, :3], config.descent.rotation_weight * poses[:, 3:]], axis=1).astype(np.float32)
 
 
 @struct.dataclass
@@ -238,6 +215,40 @@ def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:
     return _Best(**kept)
 
 
+def _tighten(
+    robot: Robot,
+    model: PoseFunction | None,
+    config: LeastSquaresConfig,
+    candidates: Candidates,
+    targets: np.ndarray,
+    result: SolveResult,
+) -> SolveResult:
+    """Other answers for the solved rows with too little tension: of each, the one whose least loaded strand carries most."""
+    rows = np.flatnonzero(np.asarray(result.converged & ~(result.least_tension >= config.least_tension)))
+    if len(rows) == 0 or config.least_tension == 0.0:
+        return result
+    settings, shape = config.tension_round, (len(rows), config.tension_round.num_starts)
+    nearest = nearest_candidates(candidates, config.descent.rotation_weight, targets[rows], 0, settings.num_starts)
+    ends = _descend(robot, None, config, candidates.vectors[nearest], targets[rows], settings.iterations)
+    if model is not None:
+        ends = _descend(robot, model, config, ends.vectors, targets[rows], config.rounds[0].iterations)
+    vectors = ends.vectors.reshape(-1, *ends.vectors.shape[2:])
+    tension = in_batches(functools.partial(_tension_rows, robot), config.batch_size, vectors).reshape(shape)
+    winner = np.argmax(np.where((ends.status == Status.CONVERGED) & (tension >= 0.0), tension, -1.0), axis=1)
+    chosen = (np.arange(len(rows)), winner)
+    best = _Best(ends.vectors[chosen], ends.cost[chosen], ends.status[chosen], ends.steps.sum(axis=1))
+    found = _judge(robot, model, config, targets[rows], best)
+    is_better = found.converged & (found.least_tension > result.least_tension[rows])
+    steps = result.steps.at[rows].add(found.steps)
+    better, found = rows[np.asarray(is_better)], jax.tree.map(lambda value: value[np.asarray(is_better)], found)
+    return jax.tree.map(lambda old, new: old.at[better].set(new), result, found).replace(steps=steps)
+
+
+@jax.jit
+def _tension_rows(robot: Robot, vectors: jax.Array) -> jax.Array:
+    return jax.vmap(lambda rows: least_tension(robot, lengths_of(robot, rows)))(vectors)
+
+
 def _judge(
     robot: Robot, model: PoseFunction | None, config: LeastSquaresConfig, targets: np.ndarray, best: _Best
 ) -> SolveResult:
@@ -256,13 +267,3 @@ def _judge_rows(
     result = describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
     is_open = (result.status == Status.ITERATION_LIMIT) & (ended != Status.CONVERGED)
     return dataclasses.replace(result, status=jnp.where(is_open, ended, result.status))
-
-
-@functools.partial(jax.jit, static_argnums=2)
-def _random_poses(robot: Robot, key: jax.Array, count: int):
-    bends = jax.vmap(lambda one: uniform_bends(robot, one))(jax.random.split(key, count))
-    return bends, jax.vmap(lambda one: forward_kinematics(robot, one))(bends)
-
-
-# Targets whose distances to all candidates fit into a core's cache.
-_RANKED_TOGETHER = 128

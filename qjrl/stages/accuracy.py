@@ -1,4 +1,5 @@
-"""Stage `accuracy`: every controller on targets that the arm can reach, open loop and with measurements."""
+"""Stage `accuracy`: every controller on targets that the arm can reach, open loop and with measurements; and what the
+learned IK says of slack strands and of targets out of reach."""
 
 import dataclasses
 import logging
@@ -9,17 +10,20 @@ import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
-from qjrl.analysis.controllers import corrections
+from qjrl.analysis.controllers import corrections, feasibility
 from qjrl.analysis.controllers.feedback_figures import errors_by_measurements
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.held_out import reachable_targets
 from qjrl.control.inversion import IKConfig
 from qjrl.control.studies.accuracy import AccuracyConfig, judge_accuracy
+from qjrl.control.studies.feasibility import KINDS, judge_tension, judge_unreachable, unreachable_targets
 from qjrl.control.studies.feedback import Corrected
 from qjrl.control.studies.open_loop import CONTROLLERS
 from qjrl.robot import robot_from_mapping, robot_hash
-from qjrl.robot.forward_model import load_pose_function
+from qjrl.robot.forward_model import PoseFunction, load_pose_function
+from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.solvers import count_statuses
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +38,7 @@ class Config:
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `table.md`, `corrections.png`, and every run's arrays, from which an interrupted one goes on."""
+    """Write `metrics.json`, `table.md`, `unreachable.md`, `corrections.png`, and every run's arrays, from which it goes on."""
     robot, settings = robot_from_mapping(config.robot), config.accuracy
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
@@ -49,15 +53,41 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         found = judge_accuracy(robot, model, config.simulation, config.ik, settings, targets, config.seed, out, advance)
     commands = artifacts.load(out / "commands.npz")
     solved = {name: commands[f"{name}/converged"] for name in CONTROLLERS}
+    feasible = _feasibility(config, robot, model, targets, out)
     metrics = {kind: corrections.corrections_metrics(runs) for kind, runs in found.items()}
     about = {
         "num_targets": len(targets),
         "solved_share": {name: float(np.mean(rows)) for name, rows in solved.items()},
+        "statuses": {name: count_statuses(commands[f"{name}/status"]) for name in CONTROLLERS},
         "noise": corrections.noise_floor(settings.noise.position, settings.noise.orientation),
         "ratios": {kind: corrections.ratios(runs, solved) for kind, runs in found.items()},
     }
-    artifacts.write_json(out / "metrics.json", metrics | about)
+    artifacts.write_json(out / "metrics.json", metrics | about | feasible)
     _show(found, metrics, about, out)
+
+
+def _feasibility(
+    config: Config, robot: Robot, model: PoseFunction, targets: np.ndarray, out: Path
+) -> dict[str, dict[str, Any]]:
+    """Metrics "tension" and "unreachable", from `tension.npz` and `unreachable.npz`, which go on like the rest."""
+    settings, simulation, seed = config.accuracy.unreachable, config.simulation, config.seed
+    tension = artifacts.load_or_make(
+        out / "tension.npz", lambda: judge_tension(robot, model, simulation, config.ik, targets, seed)
+    )
+    beyond = unreachable_targets(robot, targets, settings, seed)
+    unreachable = artifacts.load_or_make(
+        out / "unreachable.npz",
+        lambda: judge_unreachable(robot, model, simulation, config.ik, settings, beyond, seed),
+    )
+    weight = config.ik.least_squares.descent.rotation_weight
+    found = {
+        "tension": feasibility.tension_metrics(tension),
+        "unreachable": feasibility.unreachable_metrics(unreachable, KINDS, weight),
+    }
+    table = feasibility.unreachable_table(found["unreachable"])
+    artifacts.write_bytes(out / "unreachable.md", as_markdown(table).encode())
+    log.info("%s", as_text(table))
+    return found
 
 
 def _show(found: dict[str, dict[str, Corrected]], metrics: dict, about: dict[str, Any], out: Path) -> None:

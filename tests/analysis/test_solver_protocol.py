@@ -27,6 +27,7 @@ def result(status, position, orientation, steps):
         jnp.array(status) == Status.CONVERGED,
         jnp.array(status),
         jnp.array(steps),
+        jnp.zeros(count),
     )
 
 

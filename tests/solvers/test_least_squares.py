@@ -10,6 +10,7 @@ from poses import assert_sound, reachable, turned, turned_bends, unreachable
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, cable_lengths, cable_strokes, forward_kinematics
 from qjrl.robot.quaternion_arm.differential import tip_of
+from qjrl.simulation import settle
 from qjrl.solvers import LeastSquaresConfig, Status, draw_candidates, solve_least_squares
 from qjrl.solvers.least_squares import RoundConfig
 from qjrl.solvers.levenberg_marquardt import Residual, damped_step, within_limit
@@ -17,7 +18,7 @@ from qjrl.solvers.model_tip import exact_tip_function
 
 ARM = arm_named("qj_2222")
 CONFIG = LeastSquaresConfig(num_candidates=1024, batch_size=16)
-ONE_START = dataclasses.replace(CONFIG, rounds=(RoundConfig(1, 60),))
+ONE_START = dataclasses.replace(CONFIG, rounds=(RoundConfig(1, 60),), least_tension=0.0)
 CANDIDATES = draw_candidates(ARM, CONFIG)
 
 
@@ -62,6 +63,32 @@ def test_turning_a_target_about_the_base_turns_the_answer(solved):
     assert rows.mean() > 0.6
     np.testing.assert_array_equal(again.steps, first.steps)
     np.testing.assert_allclose(np.asarray(again.bends)[rows], turned_bends(first.bends, 2.0)[rows], atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def loose(solved):
+    """The same targets, whatever the strands carry."""
+    targets, _ = solved
+    return solve_least_squares(
+        ARM, targets, config=dataclasses.replace(CONFIG, least_tension=0.0), candidates=CANDIDATES
+    )
+
+
+def test_answers_say_what_the_least_loaded_strand_carries(loose):
+    rest = settle(ARM, loose.cable_lengths)
+    np.testing.assert_allclose(loose.least_tension, rest.strand_tension.min(axis=1), atol=0.02)
+    assert rest.is_slack.any()
+
+
+def test_of_a_targets_answers_one_that_keeps_all_strands_taut_is_taken(solved, loose):
+    _, taut = solved
+    before, after = np.asarray(loose.least_tension), np.asarray(taut.least_tension)
+    was_loose = before < CONFIG.least_tension
+    assert np.mean(was_loose) > 0.1 and np.mean(after < CONFIG.least_tension) < 0.3 * np.mean(was_loose)
+    assert np.all(after[was_loose] >= before[was_loose]) and np.all(taut.converged)
+    np.testing.assert_array_equal(taut.cable_lengths[~was_loose], loose.cable_lengths[~was_loose])
+    rest = settle(ARM, taut.cable_lengths)
+    np.testing.assert_allclose(after, rest.strand_tension.min(axis=1), atol=0.02)
 
 
 @pytest.fixture(scope="module")

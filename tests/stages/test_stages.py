@@ -15,6 +15,7 @@ from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.studies.accuracy import AccuracyConfig
+from qjrl.control.studies.feasibility import UnreachableConfig
 from qjrl.control.studies.open_loop import OpenLoopConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
@@ -26,6 +27,7 @@ from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.sampling import SampleConfig
 from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
+from qjrl.solvers.least_squares import RoundConfig
 from qjrl.stages import accuracy, open_loop
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
@@ -128,6 +130,10 @@ def test_answers_are_settled_and_both_errors_are_reported(finished):
         np.testing.assert_allclose(answers[f"{controller}_position_error"][settled], found[settled], atol=1e-12)
     metrics = artifacts.load(finished / "ik" / "metrics.json")
     assert metrics["real"].keys() == metrics["predicted"].keys() == set(TARGET_SETS)
+    for index, target_set in enumerate(TARGET_SETS):
+        assert sum(metrics["predicted"][target_set]["statuses"].values()) == 4
+        slack = answers["least_tension"][answers["target_set"] == index] < 0.01
+        assert metrics["predicted"][target_set]["slack_share"] == slack.mean()
     bank = artifacts.load(finished / "ik" / "bank.npz")
     assert len(bank["target"]) == 12
     distances = np.linalg.norm(bank["target"][:, None] - answers["target"][None], axis=2)
@@ -236,7 +242,12 @@ def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path
         read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
         CONFIGS["simulation"],
         CONFIGS["ik"],
-        AccuracyConfig(num_targets=6, measurements=1, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
+        AccuracyConfig(
+            num_targets=6,
+            measurements=1,
+            fabrik=FabrikConfig(outer_iterations=20, batch_size=16),
+            unreachable=UnreachableConfig(num_targets=3, thorough=RoundConfig(8, 20)),
+        ),
         seed=0,
     )
     inputs = {"sample": finished / "dataset", "forward_model": finished / "forward_model"}
@@ -254,6 +265,9 @@ def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path
     )
     assert corrected < 0.1 * open_loop_median
     assert (tmp_path / "corrections.png").stat().st_size > 10_000
+    assert all(sum(counts.values()) == 6 for counts in metrics["statuses"].values())
+    assert metrics["unreachable"]["far"]["statuses"] == {"nearest": 3}
+    assert metrics["tension"]["any"]["tension_error_max_N"] < 0.1
     before = (tmp_path / "metrics.json").read_bytes()
     (tmp_path / "noisy-learned_ik.npz").unlink()
     accuracy.run(config, inputs, tmp_path)

@@ -1,11 +1,13 @@
 """Outcomes of the `ik` stage's held-out answers: what the physics made of them, controller by controller."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.simulation.settling import SLACK_TENSION
+from qjrl.solvers import count_statuses
 
 # Controller of a report -> prefix of its columns in the answers.
 _PREFIXES = {"nominal": "nominal", "learned_ik": "learned"}
@@ -61,8 +63,8 @@ def outcome_of(
     return Outcome(controller, target_set, position_error, orientation_error, strand_tension, is_slack, num_left_out)
 
 
-def predicted_errors(answers: Mapping[str, np.ndarray], target_sets: Sequence[str]) -> dict[str, dict[str, float]]:
-    """What the model believed of its own answers: median errors and share converged, per target set."""
+def predicted_errors(answers: Mapping[str, np.ndarray], target_sets: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """What the solver believed of its own answers: median errors, how they ended, share with a slack strand, per target set."""
     metrics = {}
     for index, target_set in enumerate(target_sets):
         rows = answers["target_set"] == index
@@ -70,5 +72,7 @@ def predicted_errors(answers: Mapping[str, np.ndarray], target_sets: Sequence[st
             "position_median_mm": 1e3 * float(np.median(answers["predicted_position_error"][rows])),
             "orientation_median_deg": float(np.degrees(np.median(answers["predicted_orientation_error"][rows]))),
             "converged_share": float(answers["converged"][rows].mean()),
+            "statuses": count_statuses(answers["status"][rows]),
+            "slack_share": float(np.mean(answers["least_tension"][rows] < SLACK_TENSION)),
         }
     return metrics

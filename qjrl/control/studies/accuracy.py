@@ -10,6 +10,7 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.config import Range
 from qjrl.control.inversion import IKConfig
+from qjrl.control.studies.feasibility import UnreachableConfig
 from qjrl.control.studies.feedback import Corrected, MeasurementNoise, measure_and_correct
 from qjrl.control.studies.open_loop import CONTROLLERS, first_commands
 from qjrl.robot.forward_model import PoseFunction
@@ -32,6 +33,8 @@ class AccuracyConfig:
     """Of the measurements, in the second of two runs; the first has none."""
     fabrik: FabrikConfig = FabrikConfig()
     """Iterations, relaxation and tolerances of FABRIK."""
+    unreachable: UnreachableConfig = UnreachableConfig()
+    """Targets out of reach, made of the same."""
 
 
 def judge_accuracy(

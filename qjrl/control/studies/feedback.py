@@ -64,7 +64,8 @@ def measure_and_correct(
         lengths: (n, cables) first commands [m].
         measurements: corrections after the first command.
     """
-    errors, one_descent = [], dataclasses.replace(solver, rounds=_ONE_DESCENT, nearest_iterations=0)
+    one_descent = dataclasses.replace(solver, rounds=_ONE_DESCENT, nearest_iterations=0, least_tension=0.0)
+    errors = []
     for number in range(measurements + 1):
         rest = settle(robot, lengths, config=simulation, advance=advance)
         errors.append([np.where(rest.converged, error, np.nan) for error in row_errors(rest.pose, targets)])

@@ -1,0 +1,68 @@
+"""Random poses for descents to start from: those nearest to a target by weighted pose error."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+
+from qjrl.robot.quaternion_arm.joint import vectors_from_bends
+from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
+from qjrl.robot.quaternion_arm.sampling import uniform_bends
+from qjrl.robot.verbs import Robot
+from qjrl.solvers.batching import in_batches
+
+
+@struct.dataclass
+class Candidates:
+    """Poses to start from."""
+
+    vectors: np.ndarray
+    """(candidates, segments, 2) bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
+    features: np.ndarray
+    """(candidates, 9) their poses scaled so that squared distances compare like squared weighted errors [m]."""
+
+
+def random_candidates(robot: Robot, count: int, rotation_weight: float, seed: int) -> Candidates:
+    """Poses all over the workspace, theta and phi uniform; what a rotation counts against a position [m/rad]."""
+    bends, poses = _random_poses(robot, jax.random.key(seed), count)
+    return Candidates(vectors_from_bends(np.asarray(bends)), _features(np.asarray(poses), rotation_weight))
+
+
+def nearest_candidates(
+    candidates: Candidates, rotation_weight: float, targets: np.ndarray, used: int, count: int
+) -> np.ndarray:
+    """The candidates that rank `used` ... `used + count` by distance to each target, (rows, count)."""
+    features = _features(targets, rotation_weight)
+    if (used, count) == (0, 1):
+        function = functools.partial(_nearest_rows, candidates.features)
+        return in_batches(function, _RANKED_TOGETHER, features)[:, None]
+    if count == 0:
+        return np.empty((len(targets), 0), int)
+    ranks = (used + np.arange(count)) % len(candidates.features)
+    squares = (np.sum((row - candidates.features) ** 2, axis=1) for row in features)
+    return np.stack([np.argsort(row)[ranks] for row in squares])
+
+
+@jax.jit
+def _nearest_rows(candidates: jax.Array, targets: jax.Array) -> jax.Array:
+    """Index of the nearest candidate; the maximum over a mask, since XLA's argmin is slow on a CPU."""
+    distances = 0.5 * jnp.sum(candidates**2, axis=1) - targets @ candidates.T
+    is_nearest = distances <= jnp.min(distances, axis=1, keepdims=True)
+    return jnp.max(jnp.where(is_nearest, jnp.arange(len(candidates), dtype=jnp.int32), 0), axis=1)
+
+
+def _features(poses: np.ndarray, rotation_weight: float) -> np.ndarray:
+    """Frames an angle e apart differ by e in their columns, so these differ by the weighted error; single precision."""
+    return np.concatenate([poses[:, :3], rotation_weight * poses[:, 3:]], axis=1).astype(np.float32)
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _random_poses(robot: Robot, key: jax.Array, count: int):
+    bends = jax.vmap(lambda one: uniform_bends(robot, one))(jax.random.split(key, count))
+    return bends, jax.vmap(lambda one: forward_kinematics(robot, one))(bends)
+
+
+# Targets whose distances to all candidates fit into a core's cache.
+_RANKED_TOGETHER = 128
