@@ -13,7 +13,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -122,12 +121,10 @@ def _job(outcomes: list[str]) -> Callable[[Any], str]:
 
         _prepare_process()
         run_dir = Path(os.path.relpath(HydraConfig.get().runtime.output_dir))
-        overrides = list(HydraConfig.get().overrides.task)
-        is_first = OmegaConf.select(cfg, "processes.index") in (None, 0)  # of several processes one keeps the record
-        with sweep.recorded(run_dir, overrides) if is_first else nullcontext({"status": ""}) as record:
-            tree = OmegaConf.to_container(cfg, resolve=True)
+        is_first = not OmegaConf.select(cfg, "processes.index")  # of several processes one keeps the record
+        with sweep.recorded(run_dir, list(HydraConfig.get().overrides.task), is_first) as record:
             together = _directory_of_all_parts(run_dir, Path(HydraConfig.get().sweep.dir))
-            record["status"], record["error"] = _run(tree, together)  # pyright: ignore[reportArgumentType]
+            record["status"], record["error"] = _run(OmegaConf.to_container(cfg, resolve=True), together)  # pyright: ignore[reportArgumentType]
         outcomes.append(record["status"])
         return record["status"]
 

@@ -16,13 +16,15 @@ HEADLINES = (("compare.", ".position_median_mm"), ("forward_model.", ".held_out.
 
 
 @contextmanager
-def recorded(run_dir: Path, overrides: list[str]) -> Iterator[dict[str, Any]]:
+def recorded(run_dir: Path, overrides: list[str], is_kept: bool = True) -> Iterator[dict[str, Any]]:
     """Keeps ``summary.json`` of a run: "running" while the block lasts, so that a killed job shows; then its end.
 
-    The block sets `status` (and `error`) in the record it gets; an interruption is recorded here.
+    The block sets `status` (and `error`) in the record it gets; an interruption is recorded here. Nothing is written
+    unless `is_kept`.
     """
+    write_json = artifacts.write_json if is_kept else lambda path, content: None
     record: dict[str, Any] = {"status": "running", "overrides": overrides, "started": time.time(), "seconds": None}
-    artifacts.write_json(run_dir / SUMMARY, record)
+    write_json(run_dir / SUMMARY, record)
     try:
         yield record
     except BaseException:
@@ -30,7 +32,7 @@ def recorded(run_dir: Path, overrides: list[str]) -> Iterator[dict[str, Any]]:
         raise
     finally:
         record["seconds"] = round(time.time() - record["started"], 1)
-        artifacts.write_json(run_dir / SUMMARY, record)
+        write_json(run_dir / SUMMARY, record)
 
 
 def gather(sweep_dir: Path, since: float) -> list[dict[str, Any]]:

@@ -54,7 +54,8 @@ class PPOConfig:
     starts_at_zero: bool = True
     """The untrained policy does nothing. Without, the actor's last layer is random, as is customary."""
     initial_std: Annotated[float, Range(0.002, 3)] = 0.3
-    """Exploration at the start, before the tanh. Ours: small, since a residual starts at zero."""
+    """Exploration at the start, before the tanh. Ours: small, since a residual starts at zero. It has no effect on a random
+    start, whose deviations are the random last layer's: softplus(0) + 0.001, about 0.69."""
     actor_layers: tuple[Width, ...] = (128, 128)
     """Hidden layers of the policy."""
     critic_layers: tuple[Width, ...] = (256, 256)
