@@ -1,6 +1,7 @@
 """Numbers of an outcome: quantiles of the errors, tensions, slack, and whether a residual is worth its base."""
 
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -11,6 +12,7 @@ from qjrl.analysis.tables import Column, Table
 
 ALLOWED_RATIO = 1.1
 """Median error of the residual policy over its base's, at most."""
+_RESAMPLES = 2000
 
 
 def summarise(outcome: Outcome) -> dict[str, float]:
@@ -116,13 +118,15 @@ class Verdict:
     """Whether the residual policy is worth having: its median position error over its base's, by target set."""
 
     holds: bool | None
-    """None where no residual policy was compared."""
+    """None where no residual policy was compared, or the targets are too few to tell."""
     headline: str
     """The first line of the report."""
     detail: str
     """The numbers behind it, one sentence."""
     ratios: dict[str, float]
     """Target set -> ratio of the medians."""
+    intervals: dict[str, tuple[float, float]]
+    """Target set -> 95 % interval of that ratio."""
 
 
 def judge_residual(
@@ -130,34 +134,56 @@ def judge_residual(
 ) -> Verdict:
     """Compares the median position errors of a policy and its base on every target set that both have."""
     pairs = {
-        target_set: (
-            float(np.median(group[residual].position_error_mm)),
-            float(np.median(group[base].position_error_mm)),
-        )
+        target_set: (group[residual].position_error_mm, group[base].position_error_mm)
         for target_set, group in by_target_set(outcomes).items()
         if residual in group and base in group
     }
     if not pairs:
-        return Verdict(None, "No residual policy was compared with its base", "", {})
-    ratios = {target_set: _ratio(*pair) for target_set, pair in pairs.items()}
+        return Verdict(None, "No residual policy was compared with its base", "", {}, {})
+    ratios = {name: _ratio(*map(np.median, pair)) for name, pair in pairs.items()}
+    intervals = {name: ratio_interval(*pair) for name, pair in pairs.items()}
     worst = max(ratios.values())
+    is_open = worst > ALLOWED_RATIO and all(low <= 1.0 for low, _ in intervals.values())
     if worst <= 1.0:
         headline = "The residual policy is at least as accurate as its base"
     elif worst <= ALLOWED_RATIO:
         headline = f"The residual policy stays within {ALLOWED_RATIO:g} times its base's median error"
+    elif is_open:
+        headline = (
+            f"So few targets do not tell whether the residual policy, at {worst:.2f} times, is worse than its base"
+        )
     else:
         headline = f"The residual policy is NOT within {ALLOWED_RATIO:g} times its base's median error"
     numbers = ", ".join(
-        f"{target_set_label(target_set)} {policy:.2f} mm against {reference:.2f} mm ({ratios[target_set]:.2f} times)"
-        for target_set, (policy, reference) in pairs.items()
+        f"{target_set_label(name)} {np.median(policy):.2f} mm against {np.median(reference):.2f} mm "
+        f"({ratios[name]:.2f} times, {intervals[name][0]:.2f} to {intervals[name][1]:.2f})"
+        for name, (policy, reference) in pairs.items()
     )
-    return Verdict(worst <= ALLOWED_RATIO, headline, f"Median position error with and without it: {numbers}.", ratios)
+    detail = f"Median position error with and without it: {numbers}."
+    return Verdict(None if is_open else worst <= ALLOWED_RATIO, headline, detail, ratios, intervals)
+
+
+def ratio_interval(values: np.ndarray, references: np.ndarray, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of median(values) / median(references), by bootstrap over the rows, which are pairs where both have all of them.
+
+    Args:
+        values, references: (n,) and (m,) errors in the same unit.
+    """
+    random = np.random.default_rng(0)
+    rows = random.integers(0, len(values), (_RESAMPLES, len(values)))
+    other = (
+        rows if len(values) == len(references) else random.integers(0, len(references), (_RESAMPLES, len(references)))
+    )
+    ratios = list(map(_ratio, np.median(values[rows], axis=1), np.median(references[other], axis=1)))
+    tail = 50.0 * (1.0 - confidence)
+    low, high = np.percentile(ratios, (tail, 100.0 - tail), method="nearest")
+    return float(low), float(high)
 
 
 def _ratio(value: float, reference: float) -> float:
     if reference > 0.0:
-        return value / reference
-    return 1.0 if value == 0.0 else float("inf")
+        return float(value / reference)
+    return 1.0 if value == 0.0 else math.inf
 
 
 def _best_rows(outcomes: Sequence[Outcome]) -> frozenset[int]:

@@ -52,7 +52,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
     artifacts.write_json(
         out / "metrics.json",
-        {"headline": verdict.headline, "ratios": verdict.ratios, "controllers": measures.metrics_of(outcomes)},
+        {
+            "headline": verdict.headline,
+            "ratios": verdict.ratios,
+            "ratio_intervals": verdict.intervals,
+            "controllers": measures.metrics_of(outcomes),
+        },
     )
     write_report(out / "report.html", _report(config, robot, inputs, out, outcomes, targets))
     log.info("%s", as_text(measures.error_table(outcomes)))

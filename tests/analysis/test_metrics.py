@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from qjrl.analysis.controllers.outcomes import Outcome
-from qjrl.analysis.metrics import error_table, judge_residual, median_interval, metrics_of, summarise, tension_table
+from qjrl.analysis.metrics import (
+    error_table,
+    judge_residual,
+    median_interval,
+    metrics_of,
+    ratio_interval,
+    summarise,
+    tension_table,
+)
 from qjrl.analysis.tables import Column, Table, as_text
 
 
@@ -68,6 +76,26 @@ def test_verdict_is_that_of_the_worst_target_set():
     good = [outcome("learned_ik", [2.0]), outcome("learned_ik+residual", [1.0])]
     bad = [outcome("learned_ik", [2.0], "near_home"), outcome("learned_ik+residual", [3.0], "near_home")]
     assert judge_residual(good + bad).holds is False
+
+
+def test_a_ratio_that_so_few_targets_cannot_tell_from_one_is_left_open():
+    base = np.random.default_rng(0).exponential(size=40)
+    policy = np.random.default_rng(1).permutation(1.2 * base)  # the same law but for a fifth, of other targets
+    verdict = judge_residual([outcome("learned_ik", base), outcome("learned_ik+residual", policy)])
+    low, high = verdict.intervals["uniform"]
+    assert low < 1.0 < verdict.ratios["uniform"] < high
+    assert verdict.holds is None and "do not tell" in verdict.headline
+    paired = judge_residual([outcome("learned_ik", base), outcome("learned_ik+residual", 1.2 * base)])
+    assert paired.intervals["uniform"] == pytest.approx((1.2, 1.2))  # target by target it is a fifth worse
+    assert paired.holds is False
+
+
+def test_the_interval_of_a_ratio_holds_it_as_often_as_it_says():
+    random, held = np.random.default_rng(0), 0
+    for _ in range(100):
+        low, high = ratio_interval(3.0 * random.exponential(size=200), random.exponential(size=200))
+        held += low <= 3.0 <= high
+    assert 88 <= held <= 100
 
 
 def test_without_a_policy_there_is_no_verdict():
