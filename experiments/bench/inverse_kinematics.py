@@ -9,6 +9,7 @@ which no number below depends on. The public solver is mink (extra `bench`), on 
 import sys
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -76,20 +77,26 @@ def show(name: str, rate: float, result, note: str = "") -> None:
 
 
 def bench_batches(robot, model, targets) -> None:
-    """Least squares on both models and Adam on the learned one; the Adam of the paper on the first of the same targets."""
-    ik, few = IKConfig(), targets[:NUM_ADAM]
-    show("least squares, closed form", len(targets) / seconds_of(lambda: solve_nominal(robot, targets, ik.least_squares, 0)),
-         solve_nominal(robot, targets, ik.least_squares, 0))  # fmt: skip
-    learned = lambda rows: solve_model(robot, rows, model, ik, 0)  # noqa: E731
-    rate = len(targets) / seconds_of(lambda: learned(targets))
-    show("least squares, learned model", rate, learned(targets))
-    show("... on Adam's targets", rate, learned(few), " (rate of the whole batch)")
+    """Least squares on both models, with and without the search for taut strands, which Adam does not have; the Adam of the
+    paper on the first of the same targets."""
+    few, rates = targets[:NUM_ADAM], []
+    for name, tension in (("", 0.0), (", taut", LeastSquaresConfig().least_tension)):
+        ik = IKConfig(least_squares=LeastSquaresConfig(least_tension=tension))
+        ways = {
+            "closed form": partial(solve_nominal, robot, targets, ik.least_squares, 0),
+            "learned model": partial(solve_model, robot, targets, model, ik, 0),
+        }
+        for way, solve in ways.items():
+            rates.append(len(targets) / seconds_of(solve))
+            show(f"least squares, {way}{name}", rates[-1], solve())
+        show("... on Adam's targets", rates[-1], solve_model(robot, few, model, ik, 0), " (rate of the whole batch)")
     adam = solve_adam(robot, few, model, ADAM)  # compiles, and gives the answers
     start = time.perf_counter()
     jax.block_until_ready(solve_adam(robot, few, model, ADAM))
     adam_rate = len(few) / (time.perf_counter() - start)
     show("Adam, learned model (paper)", adam_rate, adam)
-    print(f"  least squares / Adam, learned model: {rate / adam_rate:,.0f} times the rate")
+    plain, taut = rates[1] / adam_rate, rates[3] / adam_rate
+    print(f"  least squares / Adam, learned model: {plain:,.0f} times the rate, taut {taut:,.0f}")
 
 
 def bench_single(robot, fitted, model, targets) -> None:

@@ -223,20 +223,27 @@ def _tighten(
     targets: np.ndarray,
     result: SolveResult,
 ) -> SolveResult:
-    """Other answers for the solved rows with too little tension: of each, the one whose least loaded strand carries most."""
+    """Other answers for the solved rows with too little tension: of each, the one whose least loaded strand carries most.
+
+    They are sought on the closed form, which says of tension what the model's answer next to it says, and costs less.
+    """
     rows = np.flatnonzero(np.asarray(result.converged & ~(result.least_tension >= config.least_tension)))
     if len(rows) == 0 or config.least_tension == 0.0:
         return result
     settings, shape = config.tension_round, (len(rows), config.tension_round.num_starts)
     nearest = nearest_candidates(candidates, config.descent.rotation_weight, targets[rows], 0, settings.num_starts)
     ends = _descend(robot, None, config, candidates.vectors[nearest], targets[rows], settings.iterations)
-    if model is not None:
-        ends = _descend(robot, model, config, ends.vectors, targets[rows], config.rounds[0].iterations)
     vectors = ends.vectors.reshape(-1, *ends.vectors.shape[2:])
     tension = in_batches(functools.partial(_tension_rows, robot), config.batch_size, vectors).reshape(shape)
     winner = np.argmax(np.where((ends.status == Status.CONVERGED) & (tension >= 0.0), tension, -1.0), axis=1)
     chosen = (np.arange(len(rows)), winner)
     best = _Best(ends.vectors[chosen], ends.cost[chosen], ends.status[chosen], ends.steps.sum(axis=1))
+    if model is not None:
+        starts, iterations = best.vectors[:, None], config.rounds[0].iterations
+        ends = jax.tree.map(
+            lambda value: value[:, 0], _descend(robot, model, config, starts, targets[rows], iterations)
+        )
+        best = _Best(ends.vectors, ends.cost, ends.status, best.steps + ends.steps)
     found = _judge(robot, model, config, targets[rows], best)
     is_better = found.converged & (found.least_tension > result.least_tension[rows])
     steps = result.steps.at[rows].add(found.steps)
