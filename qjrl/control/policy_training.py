@@ -19,7 +19,8 @@ from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning import processes
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.iteration import Record, num_copies
+from qjrl.learning.ppo.environment import num_copies
+from qjrl.learning.ppo.iteration import Record
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 from qjrl.learning.ppo.train import train
 from qjrl.learning.tensorboard import tensorboard

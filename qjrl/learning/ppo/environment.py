@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
+import jax
 import numpy as np
 
 Observation = Mapping[str, Any]
@@ -73,3 +74,8 @@ class VectorEnv(Protocol):
     def set_state(self, state: Mapping[str, np.ndarray]) -> None:
         """Goes back to what `get_state` returned."""
         ...
+
+
+def num_copies(environment: VectorEnv) -> int:
+    """Copies of the environment in all processes."""
+    return environment.num_envs * jax.process_count()

@@ -22,7 +22,7 @@ import optax
 from qjrl.config import Range
 from qjrl.learning import processes
 from qjrl.learning.divergence import Evidence
-from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of
+from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of, num_copies
 from qjrl.learning.ppo.normaliser import Normaliser
 from qjrl.learning.ppo.policy import Policy, deterministic_action, moderated
 from qjrl.learning.ppo.rollout import finite_rows
@@ -95,7 +95,7 @@ def imitate(
     statistics: Any = acted.normaliser
     mean, std = statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]
     policy = dataclasses.replace(before.policy, mean=np.asarray(mean), std=np.asarray(std))
-    rows = _finite_of_all(acted.kept)
+    rows = _sound_rows_of_all(acted.kept)
     policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
     if number == config.rounds - 1:
         policy = moderated(policy, config.share)
@@ -116,12 +116,12 @@ class _Acted:
 
 def _act(environment, config: ImitationConfig, before: Imitated, take_in, deviation: float, random, advance) -> _Acted:
     act = jax.jit(deterministic_action)
-    num_copies = environment.num_envs * jax.process_count()
-    own, noise = processes.own_rows(num_copies), np.zeros(0)
+    copies = num_copies(environment)
+    own, noise = processes.own_rows(copies), np.zeros(0)
     acted = _Acted(before.normaliser, before.observation, [], 0, Evidence())
     for step in range(config.steps):
         if step % _HELD == 0:
-            noise = random.normal(0.0, deviation, (num_copies, environment.action_size)).astype(np.float32)[own]
+            noise = random.normal(0.0, deviation, (copies, environment.action_size)).astype(np.float32)[own]
         observation, is_sound = finite_rows(acted.observation)
         actions = np.clip(np.asarray(act(before.policy, observation[ACTOR_KEY])) + noise, -1.0, 1.0)
         transition = environment.step(actions)
@@ -133,11 +133,11 @@ def _act(environment, config: ImitationConfig, before: Imitated, take_in, deviat
         acted.num_invalid += int(np.sum(~is_sound))
         acted.evidence.add(transition.diverged, step)
         acted.observation = transition.observation
-        advance(num_copies)
+        advance(copies)
     return acted
 
 
-def _finite_of_all(kept: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray]:
+def _sound_rows_of_all(kept: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, np.ndarray]:
     """(observations, advice) of the copies of all processes, step by step, of the rows that are sound."""
     by_copy = processes.gathered(tuple(np.stack(column, axis=1) for column in zip(*kept, strict=True)))
     observations, advice, is_sound = (np.swapaxes(column, 0, 1) for column in by_copy)

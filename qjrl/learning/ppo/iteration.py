@@ -15,7 +15,7 @@ from qjrl.learning import processes
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo import sharding
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv
+from qjrl.learning.ppo.environment import CRITIC_KEY, VectorEnv, num_copies
 from qjrl.learning.ppo.episodes import EpisodeLog
 from qjrl.learning.ppo.imitation import Imitated, imitate
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
@@ -189,11 +189,6 @@ def value_of_cut_off(value: Callable[..., Any], normaliser: Any, parameters: Any
         rows = np.pad(collected.final_rows, ((0, room - num_rows), (0, 0)))
         values[collected.final_places] = np.asarray(value(normaliser, parameters, {CRITIC_KEY: rows}))[:num_rows]
     return values
-
-
-def num_copies(environment: VectorEnv) -> int:
-    """Copies of the environment in all processes."""
-    return environment.num_envs * jax.process_count()
 
 
 def _reward_record(rollout: Rollout) -> Record:

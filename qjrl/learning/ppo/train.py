@@ -9,9 +9,9 @@ from qjrl import artifacts, progress
 from qjrl.config import as_mapping
 from qjrl.learning.ppo.books import Evaluate, open_books
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import VectorEnv
+from qjrl.learning.ppo.environment import VectorEnv, num_copies
 from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.iteration import Record, compile_functions, num_copies, run_imitation, run_iteration
+from qjrl.learning.ppo.iteration import Record, compile_functions, run_imitation, run_iteration
 from qjrl.learning.ppo.policy import Policy
 from qjrl.learning.ppo.training_state import Session, initial_state
 
