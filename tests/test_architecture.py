@@ -15,6 +15,7 @@ FLOORS = {
     "config": 1,
     "artifacts": 1,
     "cores": 1,
+    "keys": 1,
     "progress": 1,
     "robot": 2,
     "simulation": 3,
@@ -29,7 +30,7 @@ FLOORS = {
 # Beside the floors of the design: the record of where a result comes from, how a stage is run, the table over the runs
 # of a sweep.
 FLOORS |= {"provenance": 1.5, "stage": 5, "sweep": 6}
-GROUND = {"config", "artifacts", "progress"}
+GROUND = {"config", "artifacts", "keys", "progress"}
 """The files of floor 1 that the folders of floor 1 may use too."""
 
 

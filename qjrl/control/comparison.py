@@ -8,13 +8,11 @@ from qjrl.control.bases import BASES, Base, bank_of, command_column, controller_
 from qjrl.control.judging import Act, Judge, Judgement, arrives_in_time
 from qjrl.control.policy_training import PolicyConfig, acting
 from qjrl.control.targets import TARGET_SETS
+from qjrl.keys import seed_for
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
-
-# Offset of the run's seed: arms that no training and no earlier judgement has seen.
-_COMPARE_SEED = 4_000_003
 
 
 def compare_controllers(
@@ -43,7 +41,7 @@ def compare_controllers(
     found, stepper = {}, make_stepper(robot, len(rows), simulation, is_minimal)
     for base, act in controllers:
         of_base = environment_of(config.environment, base)
-        judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed + _COMPARE_SEED)
+        judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed_for(seed, "arms of the comparison"))
         found[controller_name(base, act is not None)] = judge.judge(act, advance)
     is_valid = np.all([one.is_valid for one in found.values()], axis=0)
     return {

@@ -24,6 +24,7 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.learning.ppo.environment import Observation, Transition
 from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.stepping import PhysicalParameters, Readout, Stepper
 
 
@@ -50,7 +51,7 @@ class ResidualEnvironment:
         self.gives_advice = True
         self._robot, self._bank, self._stepper, self._rows = robot, bank, stepper, rows
         self._seed, self._first = seed, first
-        self._substeps = max(1, round(config.control_period / stepper.timestep))
+        self._substeps = substeps_of(config.control_period, stepper.timestep)
         self._believed = priors(config.estimate, robot, bank.base_lengths)
         self._compiled = _compile(config)
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))

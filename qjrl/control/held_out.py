@@ -4,12 +4,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from qjrl.config import ConfigError
+from qjrl.keys import seed_for
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
 
-# Offset of the run's seed: commands that no data set of the run has.
-_SEED = 7_000_003
 # Rows settled at once.
 _CHUNK = 512
 # After so many rows a smaller share of them that are targets means that there are none to speak of.
@@ -34,7 +33,7 @@ def reachable_targets(
                 f"accuracy.distance: got {distance:g}, allowed: less; {count - missing} of {start} settled poses lie so far "
                 f"from the {len(trained)} rows of the data set"
             )
-        rows = sample_rows(robot, simulation, seed + _SEED, start, _CHUNK)
+        rows = sample_rows(robot, simulation, seed_for(seed, "reachable targets"), start, _CHUNK)
         poses = rows["pose"][rows["converged"]]
         new = poses[tree.query(poses[:, :3])[0] >= distance][:missing]
         found.append(new)

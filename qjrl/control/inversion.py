@@ -17,9 +17,6 @@ from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
 from qjrl.solvers import AdamConfig, LeastSquaresConfig, SolveResult, draw_candidates, solve_adam, solve_least_squares
 
-# Offsets of the run's seed, so that no target is drawn twice for different purposes.
-HELD_OUT_SEED, BANK_SEED = 1_000_003, 2_000_003
-
 
 @dataclasses.dataclass(frozen=True)
 class IKConfig:

@@ -17,6 +17,7 @@ from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
+from qjrl.keys import seed_for
 from qjrl.learning import processes
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import num_copies
@@ -30,10 +31,6 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
 
-# Offset of the run's seed for the arms on which the policy is judged while it trains.
-_JUDGE_SEED = 3_000_003
-# ... and of the arms that it trains on: PPO's own keys are children of the run's seed, so would be theirs.
-_TRAINING_SEED = 5_000_003
 # Control steps over which the rate of bare batch stepping is measured, at every checkpoint.
 _BARE_STEPS = 10
 BARE_RATES = "bare_rates.jsonl"
@@ -92,11 +89,12 @@ def train_policy(
     of_base = environment_of(config.environment, config.base)
     is_minimal = config.engine == "minimal"
     judge_stepper = make_stepper(robot, len(judged), simulation, is_minimal)
-    judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, seed + _JUDGE_SEED)
+    judging_seed = seed_for(seed, "arms of the checkpoints' evaluation")
+    judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, judging_seed)
     own = processes.own_rows(config.num_envs)
     stepper = make_stepper(robot, own.stop - own.start, simulation, is_minimal)
     bank = bank_of(targets, config.base, trained_on)
-    environment = ResidualEnvironment(robot, of_base, bank, stepper, seed, first=own.start)
+    environment = ResidualEnvironment(robot, of_base, bank, stepper, seed_for(seed, "training arms"), first=own.start)
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     with ExitStack() as stack:
         callbacks = [_bare_rates(environment, directory / BARE_RATES)]

@@ -34,6 +34,7 @@ from qjrl.deployment.parity import (
     check_inverse,
     make_reference,
 )
+from qjrl.keys import seed_for
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.model_fitting import pose_errors, split_rows
 from qjrl.robot.verbs import Robot
@@ -121,7 +122,9 @@ def export_controller(
     calls: dict[str, LoadedFunction] = {
         name: (onnx_model if name == ONNX_FILE else stablehlo).load(content) for name, content in files.items()
     }
-    reference = make_reference(robot, live, held_out, config.precision, config.parity, seed + PARITY_SEED)
+    reference = make_reference(
+        robot, live, held_out, config.precision, config.parity, seed_for(seed, "rows of the parity check")
+    )
     package = jax.jit(jax.vmap(solve))
     checks = {
         name: check_inverse(name, call, package, reference)
@@ -213,5 +216,3 @@ def _about_stablehlo(config: ExportConfig) -> dict[str, Any]:
 FORWARD_FILE = "forward_model.stablehlo"
 INVERSE_FILE = "inverse_kinematics.stablehlo"
 ONNX_FILE = "forward_model.onnx"
-# Offset of the run's seed: no row that is compared is one of the solver's starts.
-PARITY_SEED = 3_000_017

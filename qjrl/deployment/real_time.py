@@ -18,6 +18,7 @@ import numpy as np
 from qjrl.config import ConfigError
 from qjrl.deployment.line import Line
 from qjrl.deployment.safety import SafeController
+from qjrl.simulation.control_period import substeps_of
 
 _SPIN = 0.0005
 """The clock is watched without sleeping for this long before a period begins [s]: sleep oversleeps."""
@@ -117,7 +118,7 @@ def play(
     """
     controller.begin(*task)
     clock, period = schedule.clock, schedule.period
-    substeps, number, lost = round(period / plant.timestep), 0, 0
+    substeps, number, lost = substeps_of(period, plant.timestep), 0, 0
     rows: list[tuple] = []
     begin = clock.now() + period
     while number < schedule.num_periods:

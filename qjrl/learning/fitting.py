@@ -19,6 +19,7 @@ from flax import linen, struct
 
 from qjrl import artifacts, progress
 from qjrl.config import Range, as_mapping
+from qjrl.keys import seed_for
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.fit_log import FitLog
@@ -201,7 +202,7 @@ def train_epoch_of_members(
 
 def member_seed(seed: int, member: int) -> int:
     """Seed of one member of an ensemble; the first has the ensemble's own."""
-    return seed + 1000 * member
+    return seed if member == 0 else seed_for(seed, "members of an ensemble", member)
 
 
 def make_optimiser(config: FitConfig, num_steps: int) -> optax.GradientTransformation:

@@ -21,6 +21,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -33,6 +34,9 @@ class Config:
     policy: PolicyConfig
     name: str
     seed: int
+
+    def __post_init__(self) -> None:
+        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

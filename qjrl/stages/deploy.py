@@ -35,6 +35,7 @@ from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -49,6 +50,7 @@ class Config:
     seed: int
 
     def __post_init__(self):
+        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
         replay = self.deploy.replay
         if replay and not Path(replay).is_file():
             raise ConfigError(f"deploy.replay: {replay} does not exist; give the log.npz of a deployment")
@@ -135,7 +137,7 @@ def _export(
     """The files, checked against what the package's own controller did with every target in the simulation."""
     live = controller_functions(environment.controller, robot, policy)
     compiled = ControllerFunctions(jax.jit(live.begin), jax.jit(live.step))
-    substeps, episodes = round(environment.control_period / arm.timestep), []
+    substeps, episodes = substeps_of(environment.control_period, arm.timestep), []
     with progress.compiling("the controller"):
         for row, (target, lengths) in enumerate(zip(*targets, strict=True)):
             arm.home(row)

@@ -8,8 +8,9 @@ from pathlib import Path
 from qjrl import artifacts, progress
 from qjrl.analysis.controllers.answers import outcomes_of_answers, predicted_errors
 from qjrl.analysis.metrics import metrics_of
-from qjrl.control.inversion import BANK_SEED, HELD_OUT_SEED, IKConfig, settle_answers, solve_both_sets
+from qjrl.control.inversion import IKConfig, settle_answers, solve_both_sets
 from qjrl.control.targets import TARGET_SETS
+from qjrl.keys import seed_for
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
@@ -32,14 +33,18 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     sets = len(TARGET_SETS)
     start = time.monotonic()
     with progress.track(sets * config.ik.num_held_out, "inverting held-out targets") as advance:
-        answers = solve_both_sets(robot, model, config.ik, config.ik.num_held_out, config.seed + HELD_OUT_SEED, advance)
+        answers = solve_both_sets(
+            robot, model, config.ik, config.ik.num_held_out, seed_for(config.seed, "held-out targets"), advance
+        )
     rate = sets * config.ik.num_held_out / (time.monotonic() - start)
     with progress.track(2 * sets * config.ik.num_held_out, "settling their answers") as advance:
         answers |= settle_answers(robot, config.simulation, answers, advance)
     artifacts.write_arrays(out / "held_out.npz", answers)
     if not (out / "bank.npz").exists():
         with progress.track(sets * config.ik.num_bank, "inverting the policy's targets") as advance:
-            bank = solve_both_sets(robot, model, config.ik, config.ik.num_bank, config.seed + BANK_SEED, advance)
+            bank = solve_both_sets(
+                robot, model, config.ik, config.ik.num_bank, seed_for(config.seed, "target bank"), advance
+            )
         artifacts.write_arrays(out / "bank.npz", bank)
     metrics = {
         "targets_per_second": rate,

@@ -17,6 +17,7 @@ from qjrl.control.studies.robustness import RobustnessConfig, disturbances, judg
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -29,6 +30,9 @@ class Config:
     policy: PolicyConfig
     robustness: RobustnessConfig
     seed: int
+
+    def __post_init__(self) -> None:
+        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

@@ -22,6 +22,7 @@ from qjrl.control.tracking.trajectory import least_duration
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -36,6 +37,7 @@ class Config:
 
     def __post_init__(self):
         make_path(self.track.path, self.track.shape)  # a file that is no path is refused before any work
+        substeps_of(self.track.period, self.simulation.timestep)
 
     @property
     def files(self) -> dict[str, str]:

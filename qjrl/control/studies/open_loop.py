@@ -8,14 +8,13 @@ import numpy as np
 from qjrl.config import Range
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.control.targets import draw_bends, target_poses
+from qjrl.keys import seed_for
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
 from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik
 
-# Offset of the run's seed: targets that neither the policy nor the held-out set has.
-_SEED = 6_000_003
 CONTROLLERS = ("fabrik", "least_squares", "learned_ik")
 """What `first_commands` asks, in the order of tables."""
 
@@ -66,9 +65,13 @@ def run_open_loop(
         model: lengths -> pose, which the learned IK inverts; the others invert the closed form.
         advance: called with the number of newly settled commands.
     """
-    targets = target_poses(robot, draw_bends(robot, target_set, config.num_targets, seed + _SEED, ik.targets))
+    targets = target_poses(
+        robot, draw_bends(robot, target_set, config.num_targets, seed_for(seed, "targets of the open loop"), ik.targets)
+    )
     runs = {}
-    for name, solved in first_commands(robot, model, ik, config.fabrik, targets, seed + _SEED).items():
+    for name, solved in first_commands(
+        robot, model, ik, config.fabrik, targets, seed_for(seed, "targets of the open loop")
+    ).items():
         rest = settle(robot, np.asarray(solved.cable_lengths), config=simulation, advance=advance)
         runs[name] = OpenLoopRun(solved, rest)
     return targets, runs

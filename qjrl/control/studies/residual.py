@@ -20,6 +20,7 @@ from qjrl.control.policy_training import PolicyConfig, acting, train_policy
 from qjrl.control.studies.ablations import ABLATIONS, ablations
 from qjrl.control.studies.parameter_effects import one_at_a_time
 from qjrl.control.targets import TARGET_SETS
+from qjrl.keys import key_for, seed_for
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
@@ -28,8 +29,6 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
 
-# Offset of the run's seed: arms that no training and no other judgement has seen.
-_STUDY_SEED = 6_000_003
 RIVAL: Base = "integral"
 
 
@@ -68,7 +67,8 @@ class Subject:
         count = len(self.targets["target"])
         stepper = make_stepper(self.robot, count, self.simulation, self.config.engine == "minimal")
         bank = bank_of(self.targets, base, np.arange(count))
-        return Judge(self.robot, environment_of(environment, base), bank, stepper, self.seed + _STUDY_SEED).judge(act)
+        seed = seed_for(self.seed, "arms of the residual study")
+        return Judge(self.robot, environment_of(environment, base), bank, stepper, seed).judge(act)
 
 
 def make_subject(
@@ -103,7 +103,7 @@ def _floor(subject: Subject) -> np.ndarray:
     noise, steps = config.randomisation.encoder_noise_deg, jnp.arange(1, config.episode_steps + 1)
     since = steps[:, None] * config.control_period - arrival
     frames = jnp.floor(since / config.control_period) + 1.0
-    keys = jax.random.split(jax.random.key(subject.seed + _STUDY_SEED), len(steps))
+    keys = jax.random.split(key_for(subject.seed, "encoder floor of the residual study"), len(steps))
     floor = jax.jit(jax.vmap(lambda frames, key: encoder_floor(subject.robot, bends, noise, frames, key)))
     return np.where(since >= 0.0, floor(jnp.maximum(frames, 1.0), keys), np.nan)
 

@@ -16,11 +16,9 @@ from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import path_poses
 from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.geometry.pose import row_errors
+from qjrl.keys import seed_for
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-
-# Offset of the run's seed: poses that the search has not seen.
-_FRESH_SEED = 7_000_003
 
 Newtons = Annotated[float, Range(low=0.0, high=1e5)]
 
@@ -109,7 +107,9 @@ def poses_to_keep(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:
 
 def fresh_poses(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:
     """As many other poses over the workspace, to hold the answer against."""
-    return workspace_poses(robot, config.law, config.num_poses, seed + _FRESH_SEED, config.rim_share)
+    return workspace_poses(
+        robot, config.law, config.num_poses, seed_for(seed, "fresh poses of the pretension"), config.rim_share
+    )
 
 
 def curve_of(robot: Robot, config: PretensionConfig) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ from qjrl.control.tracking.paths import PosePath, ShapeConfig
 from qjrl.control.tracking.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
 from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import PhysicalParameters, Stepper
@@ -115,7 +116,7 @@ def play(
         advance: called with the number of control periods played.
     """
     stepper = make_stepper(robot, len(performances), simulation)
-    substeps = max(1, round(period / stepper.timestep))
+    substeps = substeps_of(period, stepper.timestep)
     _approach(robot, stepper, performances, limits, simulation)
     rest_speed = np.abs(stepper.read().joint_velocities).mean(axis=1)
     first = -math.ceil(max(one.lead for one in performances) / period) - 1

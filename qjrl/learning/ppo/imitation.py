@@ -20,6 +20,7 @@ import numpy as np
 import optax
 
 from qjrl.config import Range
+from qjrl.keys import key_for, seed_for
 from qjrl.learning import processes
 from qjrl.learning.divergence import Evidence
 from qjrl.learning.ppo.environment import ACTOR_KEY, Observation, VectorEnv, advice_of, num_copies
@@ -89,14 +90,14 @@ def imitate(
         take_in: `normaliser.update_normaliser`, compiled, for the rows of all processes.
         advance: called with the number of environment steps made.
     """
-    random = np.random.default_rng([seed, number])
+    random = np.random.default_rng([seed_for(seed, "dagger"), number])
     deviation = config.exploration * (1.0 if number == 0 else 0.1)
     acted = _act(environment, config, before, take_in, deviation, random, advance)
     statistics: Any = acted.normaliser
     mean, std = statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]
     policy = dataclasses.replace(before.policy, mean=np.asarray(mean), std=np.asarray(std))
     rows = _sound_rows_of_all(acted.kept)
-    policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(jax.random.key(seed), number))
+    policy, loss = _fit(policy, config, number, rows, jax.random.fold_in(key_for(seed, "dagger"), number))
     if number == config.rounds - 1:
         policy = moderated(policy, config.share)
     return Imitated(policy, acted.normaliser, acted.observation, loss, acted.num_invalid, acted.evidence.arrays())

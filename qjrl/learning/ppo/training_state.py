@@ -10,6 +10,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 from flax import serialization, struct
 
+from qjrl.keys import key_for
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning import processes
 from qjrl.learning.ppo.config import PPOConfig
@@ -49,11 +50,10 @@ def initial_state(
     initialise: Callable[[jax.Array], Any], config: PPOConfig, environment: VectorEnv, seed: int
 ) -> TrainingState:
     """The untrained state; `initialise` makes parameters of a key."""
-    key_parameters, key = jax.random.split(jax.random.key(seed))
     state = TrainingState(
-        learner=make_learner(config, initialise(key_parameters)),
+        learner=make_learner(config, initialise(key_for(seed, "networks"))),
         normaliser=initial_normaliser(environment.observation_sizes),
-        key=key,
+        key=key_for(seed, "actions and minibatches"),
         iteration=jnp.int32(0),
         env_steps=jnp.uint32(0),
     )
