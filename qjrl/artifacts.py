@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import UnionType
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -103,15 +104,14 @@ def append_shard(
     write_arrays(directory / name, arrays)
     if first_row is None:
         first_row = sum(shard["rows"] for shard in manifest["shards"])
-    rows = len(next(iter(arrays.values())))
-    shard = {"name": name, "first_row": first_row, "rows": rows, "sha256": hash_of_file(directory / name)}
+    shard = {"name": name, "first_row": first_row, "rows": len(next(iter(arrays.values())))}
+    shard |= {"sha256": hash_of_file(directory / name)}
     write_json(directory / MANIFEST, manifest | about | {"shards": [*manifest["shards"], shard]})
 
 
 def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[str, Any]:
     """The manifest of a dataset directory, checked: format, and the robot when `robot_hash` is given."""
-    path = Path(directory) / MANIFEST
-    manifest = read_record(path, {"format": int}, "a dataset's manifest")
+    manifest = read_record(path := Path(directory) / MANIFEST, {"format": int}, "a dataset's manifest")
     if manifest["format"] != DATASET_FORMAT:
         raise ArtifactError(f"{path}: is not a dataset of format {DATASET_FORMAT} (found {manifest['format']})")
     check_record(path, manifest, {"robot_hash": str, "shards": list}, "a dataset's manifest")
@@ -124,7 +124,7 @@ def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[
     return manifest
 
 
-def read_record(path: str | Path, kinds: Mapping[str, type], what: str) -> dict[str, Any]:
+def read_record(path: str | Path, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
     """The mapping in a JSON file, with the keys that are needed: the one way to read what is then asked by key.
 
     Args:
@@ -136,12 +136,12 @@ def read_record(path: str | Path, kinds: Mapping[str, type], what: str) -> dict[
     return check_record(path, load(path), kinds, what)
 
 
-def check_record(path: str | Path, record: Any, kinds: Mapping[str, type], what: str) -> dict[str, Any]:
+def check_record(path: str | Path, record: Any, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
     """The record, if it is a mapping with the keys `kinds`; see `read_record`."""
     if not isinstance(record, dict):
         raise ArtifactError(f"{path}: is not {what} (holds no mapping)")
     for key, kind in kinds.items():
-        if not isinstance(record.get(key), kind) or (kind is not bool and isinstance(record[key], bool)):
+        if key not in record or not isinstance(record[key], kind) or isinstance(record[key], bool):
             found = f"{key} is {type(record[key]).__name__}" if key in record else f"{key} is missing"
             raise ArtifactError(f"{path}: is not {what} ({found}); it is damaged, or another program wrote it")
     return record

@@ -10,6 +10,7 @@ import difflib
 import functools
 import math
 import re
+import sys
 import types
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -129,6 +130,26 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     return content
 
 
+def read_literal_yaml(path: str | Path) -> dict[str, Any]:
+    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations.
+
+    Raises:
+        ConfigError: see `read_yaml`; or the file has a defaults list or an interpolation such as ``${name}``.
+    """
+    content = read_yaml(path)
+    if "defaults" in content:
+        raise ConfigError(f"{path}: defaults: got a list of files to build on, allowed: the values themselves")
+    waiting: list[tuple[str, Any]] = [("", content)]
+    while waiting:
+        where, value = waiting.pop()
+        if isinstance(value, (dict, list)):
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(_join(where, key), item) for key, item in items] + [(where, str(key)) for key, _ in items]
+        elif isinstance(value, str) and ("${" in value or value == "???"):
+            raise ConfigError(f"{path}: {where}: got {_show(value)}, allowed: the value itself, no ${{...}} and no ???")
+    return content
+
+
 def conf_folder() -> Path:
     """The folder of the shipped YAML files: inside an installed package, beside it in a checkout."""
     package = Path(__file__).parent
@@ -194,7 +215,7 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
     kind = origin or kind
     if kind is dict and isinstance(value, Mapping):
         return dict(value)
-    if kind is float and type(value) in (int, float) and math.isfinite(value):
+    if kind is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
         return float(value)
     if kind is Path and isinstance(value, (str, Path)) and str(value):
         return Path(value)

@@ -52,19 +52,19 @@ def _line(error: BaseException) -> str | None:
     return None
 
 
-def require_device(platforms: str | None = None) -> Any:
+def require_device() -> Any:
     """JAX's devices; asked for once, before any stage needs one.
 
-    Args:
-        platforms: what the environment asks JAX for, for the message.
     Raises:
-        MachineError: there is none of the kind that is asked for.
+        MachineError: there is none of the kind that is asked for, or JAX does not start.
     """
+    platforms = None
     try:
         import jax
 
+        platforms = jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]
         return jax.devices()
     except Exception as error:
         asked = f" for JAX_PLATFORMS={platforms}" if platforms else ""
-        reason = " ".join(str(error).split("\n")[0].split()) or type(error).__name__
-        raise MachineError(f"JAX finds no device{asked} ({reason})") from error
+        reason = " ".join(str(error).split("\n")[0].split())
+        raise MachineError(f"JAX finds no device{asked}{f' ({reason})' if reason else ''}") from error

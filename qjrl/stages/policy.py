@@ -23,6 +23,11 @@ class Config:
     policy: PolicyConfig
     seed: int
 
+    @property
+    def blocks(self) -> dict[str, Any]:
+        """What of the threads reaches the training."""
+        return self.policy.blocks(self.simulation)
+
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `checkpoints/`, `progress.jsonl`, `bare_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""

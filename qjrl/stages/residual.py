@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,11 @@ class Config:
     policy: PolicyConfig
     residual: ResidualStudyConfig
     seed: int
+
+    @property
+    def blocks(self) -> dict[str, Any]:
+        """What of the threads reaches the training."""
+        return self.policy.blocks(self.simulation)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
