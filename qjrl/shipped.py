@@ -9,13 +9,23 @@ from qjrl.config import conf_folder, read_yaml
 def says(group: str, value: Any) -> bool:
     """Whether each part of the value of a group stands, under the same keys, in a choice of it or in an experiment."""
     folder = conf_folder()
-    choices = [read_yaml(path) for path in (folder / group).glob("*.yaml")]
+    choices = [_with_groups(read_yaml(path)) for path in (folder / group).glob("*.yaml")]
     if not choices:
         return False
     if _is_among(value, choices):
         return True
     experiments = [read_yaml(path) for path in (folder / "experiment").glob("*.yaml")]
     return _is_among(value, [*choices, *(one[group] for one in experiments if group in one)])
+
+
+def _with_groups(content: dict[str, Any]) -> dict[str, Any]:
+    """A file's own content, and that of the groups which its defaults list puts under keys: ``/forward_model@paper: paper``."""
+    for entry in content.get("defaults", []):
+        for source, choice in entry.items() if isinstance(entry, dict) else ():
+            group, _, key = source.lstrip("/").partition("@")
+            if key:
+                content = {key: read_yaml(conf_folder() / group / f"{choice}.yaml")} | content
+    return content
 
 
 def _is_among(value: Any, options: Iterable[Any]) -> bool:
