@@ -25,6 +25,15 @@ def dumps(value: Any, indent: int | None = None) -> str:
     return json.dumps(_finite(plain(value)), indent=indent, allow_nan=False)
 
 
+def numbers_again(content: Any) -> Any:
+    """The content of a file of measured numbers, in which null stands for NaN: with NaN, so that arithmetic goes on."""
+    if isinstance(content, dict):
+        return {key: numbers_again(item) for key, item in content.items()}
+    if isinstance(content, list):
+        return [numbers_again(item) for item in content]
+    return math.nan if content is None else content
+
+
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _finite(item) for key, item in value.items()}
