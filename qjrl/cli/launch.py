@@ -71,11 +71,11 @@ def _recorded_run(cfg: Any, job: Job) -> str:
             run_dir if job.sweep is None else sweeps.directory_of_all_parts(job, run_dir, about.sweep.dir, overrides)
         )
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
-        record["status"], record["error"] = _run(tree, together)
+        record["status"], record["error"] = run_stages(tree, together)
     return record["status"]
 
 
-def _run(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
+def run_stages(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
     """Runs the stages. Returns the status and the line that explains it, already printed."""
     try:
         selected = pipeline.selected(tree)
@@ -104,7 +104,18 @@ def _told_by_hydra(error: Exception, overrides: list[str]) -> Exception | None:
             return cause
         cause = cause.__cause__ or cause.__context__
     known = (HydraException, OmegaConfBaseException, yaml.YAMLError, OSError, ValueError)
-    return _readable(error, overrides) if isinstance(error, known) else None
+    if isinstance(error, known):
+        return _readable(error, overrides)
+    if _is_raised_by(error, ("hydra", "omegaconf", "antlr4")):  # it meets a value that it did not expect
+        return ConfigError(f"{' '.join(overrides)}: Hydra cannot read this ({type(error).__name__}: {error})")
+    return None
+
+
+def _is_raised_by(error: Exception, packages: tuple[str, ...]) -> bool:
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    return place is not None and place.tb_frame.f_globals.get("__name__", "").partition(".")[0] in packages
 
 
 def _readable(error: Exception, overrides: list[str]) -> Exception:
