@@ -46,7 +46,11 @@ def recorded(
         raise
     finally:
         record["seconds"] = round(time.monotonic() - start, 1)
-        write_json(run_dir / SUMMARY, record)
+        try:
+            write_json(run_dir / SUMMARY, record)
+        except OSError:  # of a run that did not end well something else has been said already
+            if record["status"] == "done":
+                raise
 
 
 def gather(sweep_dir: Path, identity: str) -> list[dict[str, Any]]:

@@ -11,7 +11,6 @@ from omegaconf._utils import get_yaml_loader
 from qjrl import plain_yaml
 from qjrl.config import conf_folder, read_yaml
 
-
 LAUGHS = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
     f"{letter}: &{letter} [{','.join(['*' + before] * 10)}]\n" for before, letter in zip("abcde", "bcdef", strict=True)
 )

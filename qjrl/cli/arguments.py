@@ -85,7 +85,7 @@ def for_hydra(override: str) -> str:
     key, equals, value = override.partition("=")
     if not equals:
         return override
-    if value.endswith(_FILES) and _is_file(value):
+    if value.endswith(_FILES) and is_file(value):
         return f"{key}={quoted(value.replace('${', chr(92) + '${'))}"
     if key in _TEXTS and value and not (set(value) & set(",[]{}()$") or value[0] in "'\""):
         return f"{key}={quoted(value)}"
@@ -98,7 +98,8 @@ def _beyond_ascii(text: str) -> str:
     return text if text.isascii() else quoted(text.strip())
 
 
-def _is_file(name: str) -> bool:
+def is_file(name: str) -> bool:
+    """Whether there is a file of that name, whatever the name."""
     try:
         return Path(name).expanduser().is_file()
     except (OSError, ValueError, RuntimeError):

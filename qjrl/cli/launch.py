@@ -23,7 +23,8 @@ def launch(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come here instead of being printed by Hydra
     overrides, options = words.sorted_out(arguments, pipeline.STAGES)
     names.register()
-    overrides, files = with_robot_files([words.for_hydra(override) for override in overrides])
+    overrides, files = with_robot_files(overrides)
+    overrides = [words.for_hydra(override) for override in overrides]
     is_sweep = bool({"-m", "--multirun"} & set(options))
     outcomes: list[str] = []
     planned = None

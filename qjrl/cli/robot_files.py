@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+from qjrl.cli.arguments import is_file
 from qjrl.config import conf_folder, read_literal_yaml
 
 _SUFFIXES = (".yaml", ".yml")
@@ -57,11 +58,11 @@ def _choice(file: str, files: dict[str, str]) -> str:
 
 def _pieces(value: str) -> list[str]:
     """The files and choices that a value lists; a name with commas in it is taken whole where there is such a file."""
-    if Path(value).expanduser().is_file():
+    if is_file(value):
         return [value]
     parts, pieces = _outside_quotes(value), []
     while parts:
-        whole = next((end for end in range(len(parts), 1, -1) if Path(",".join(parts[:end])).is_file()), 1)
+        whole = next((end for end in range(len(parts), 1, -1) if is_file(",".join(parts[:end]))), 1)
         pieces.append(",".join(parts[:whole]))
         parts = parts[whole:]
     return [_unquoted(piece.strip()) for piece in pieces]
