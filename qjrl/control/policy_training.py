@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import numpy as np
 
 from qjrl.artifacts import append_json_line
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, NotIdentity, Range
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
@@ -49,10 +49,14 @@ class PolicyConfig:
     """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
     num_judged: Annotated[int, Range(1, 100_000)] = 128
     """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
-    tensorboard: bool = False
+    tensorboard: Annotated[bool, NotIdentity()] = False
     """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
     environment: EnvironmentConfig = EnvironmentConfig()
     ppo: PPOConfig = PPOConfig()
+
+    def blocks(self, simulation: SettleConfig) -> dict[str, Any]:
+        """In minimal coordinates arms are stepped in as many blocks as there are threads, which moves the last bits."""
+        return {"simulation.num_threads": simulation.num_threads} if self.engine == "minimal" else {}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -35,6 +35,7 @@ from qjrl.deployment.parity import (
     make_reference,
 )
 from qjrl.keys import seed_for
+from qjrl.provenance import read_provenance
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.model_fitting import pose_errors, split_rows
 from qjrl.robot.verbs import Robot
@@ -90,7 +91,7 @@ def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, 
         raise ArtifactError(
             f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
         )
-    seed = artifacts.load(forward_model / artifacts.PROVENANCE)["seed"]
+    seed = read_provenance(forward_model)["seed"]
     data = artifacts.load(dataset)
     settled = {name: column[data["converged"]] for name, column in data.items()}
     _, held_out = split_rows(len(settled["seed"]), config.held_out, seed)

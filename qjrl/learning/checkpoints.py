@@ -16,7 +16,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from qjrl import artifacts
+from qjrl import artifacts, plain_json
 
 TRAINING, ENVIRONMENT, IDENTITY = "training", "environment", "identity.json"
 
@@ -95,16 +95,19 @@ def rewind_log(path: Path, counter: str, last: int) -> list[dict[str, Any]]:
             record = json.loads(line)
         except ValueError:
             break
-        if record[counter] > last:
+        if not isinstance(record, dict) or not isinstance(record.get(counter), int | float) or record[counter] > last:
             break
         kept.append(record)
-    artifacts.write_bytes(path, "".join(json.dumps(record) + "\n" for record in kept).encode())
+    artifacts.write_bytes(path, "".join(plain_json.dumps(record) + "\n" for record in kept).encode())
     return kept
 
 
 def _check_identity(directory: Path, identity: str) -> None:
     path = directory / IDENTITY
-    if path.exists() and artifacts.load(path)["identity"] != identity:
+    if (
+        path.exists()
+        and artifacts.read_record(path, {"identity": str}, "the identity of a training")["identity"] != identity
+    ):
         raise artifacts.ArtifactError(
             f"{directory}: holds a training with another configuration or data; remove it to start afresh"
         )

@@ -33,6 +33,7 @@ from qjrl.deployment.recording import Record, as_record, flagged, load_record, r
 from qjrl.deployment.safety import ASKED, SafeController
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
@@ -76,7 +77,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     targets = _targets(config, robot, artifacts.load(inputs["ik"] / "held_out.npz"))
     arm = SimulatedArm(robot, environment.randomisation, config.simulation.timestep, config.seed)
     export = _export(config, robot, environment, policy, arm, targets)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     about = as_mapping(environment.controller) | {"base": config.policy.base, "largest_age": settings.largest_age}
     write_controller(export, robot, settings.files, about, provenance, out)
     controller = SafeController(export.controllers["control_step.stablehlo"], settings.largest_age)

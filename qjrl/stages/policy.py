@@ -10,6 +10,7 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.control.policy_training import BARE_RATES, PolicyConfig, train_policy
 from qjrl.learning import processes
+from qjrl.plain_json import numbers_again
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -23,6 +24,11 @@ class Config:
     policy: PolicyConfig
     seed: int
 
+    @property
+    def blocks(self) -> dict[str, Any]:
+        """What of the threads reaches the training."""
+        return self.policy.blocks(self.simulation)
+
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `checkpoints/`, `progress.jsonl`, `bare_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
@@ -31,13 +37,13 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return
-    records = artifacts.load(out / "progress.jsonl")
+    records = numbers_again(artifacts.load(out / "progress.jsonl"))
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     bare_rate = float(np.median([record["bare_steps_per_second"] for record in artifacts.load(out / BARE_RATES)]))
     judged = [record for record in records if "evaluation/median_mm" in record]
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
-        "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
+        "kept_env_steps": min(judged, key=_score)["env_steps"],
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
         "steps_per_second": float(np.median(rates)),
@@ -57,3 +63,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         100.0 * metrics["share_of_bare_rate"],
         metrics["bare_steps_per_second"],
     )
+
+
+def _score(record: dict[str, Any]) -> float:
+    """The error by which checkpoints are ranked; one that is no number ranks last."""
+    return float(np.nan_to_num(record["evaluation/median_mm"], nan=np.inf))

@@ -18,6 +18,7 @@ from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
@@ -59,7 +60,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     pictures = _pictures(robot, config, metrics, shown)
     for name, (figure, _) in pictures.items():
         save_png(figure, out / f"{name}.png", dpi=110)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     write_report(out / "report.html", report.pretension_report(metrics, pictures, provenance))
     log.info("%s\n", as_text(report.curve_table(metrics)))
     log.info("as described: %s", metrics["own"]["message"] or "every pose is safe")

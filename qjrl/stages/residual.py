@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class Config:
 
     def __post_init__(self) -> None:
         substeps_of(self.policy.environment.control_period, self.simulation.timestep)
+
+    @property
+    def blocks(self) -> dict[str, Any]:
+        """What of the threads reaches the training."""
+        return self.policy.blocks(self.simulation)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

@@ -19,6 +19,7 @@ from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot
@@ -77,7 +78,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         settings.accepted_error,
         animation,
         drawn,
-        artifacts.load(out / artifacts.PROVENANCE),
+        read_provenance(out),
     )
     write_report(out / "track.html", page)
     log.info("%s", as_text(tracking_table(metrics["played"])))

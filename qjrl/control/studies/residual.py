@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import Range, as_mapping
+from qjrl.config import Range, identity_of
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Act, Judge, Judgement, first_in_time
@@ -29,6 +29,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
 
+_JUDGED = {"identity": str, "errors": dict}
 RIVAL: Base = "integral"
 
 
@@ -137,8 +138,8 @@ def ablate(
     for name in settings.ablations:
         config, path = variants[name], directory / name.replace(", ", "-").replace(" ", "_")
         done = path / "judged.json"
-        identity = artifacts.hash_of([as_mapping(config), settings.num_targets, subject.seed])
-        if done.exists() and (known := artifacts.load(done))["identity"] == identity:
+        identity = artifacts.hash_of([identity_of(config), settings.num_targets, subject.seed])
+        if done.exists() and (known := artifacts.read_record(done, _JUDGED, "an ablation"))["identity"] == identity:
             found[name] = known["errors"]
         else:
             trained = train_policy(subject.robot, subject.simulation, config, bank, subject.seed, path)
