@@ -28,7 +28,7 @@ FLOORS = {
 }
 # Beside the floors of the design: the record of where a result comes from, how a stage is run, the table over the runs
 # of a sweep.
-FLOORS |= {"provenance": 1.5, "stage": 5, "sweep": 6}
+FLOORS |= {"table_file": 1, "provenance": 1.5, "stage": 5, "sweep": 6}
 GROUND = {"config", "artifacts", "progress"}
 """The files of floor 1 that the folders of floor 1 may use too."""
 

@@ -35,7 +35,7 @@ from qjrl.deployment.parity import (
     make_reference,
 )
 from qjrl.robot.forward_model import ForwardModel, pose_function
-from qjrl.robot.model_fitting import pose_errors, split_rows
+from qjrl.robot.model_fitting import pose_errors, settled_split
 from qjrl.robot.verbs import Robot
 
 log = logging.getLogger(__name__)
@@ -76,13 +76,13 @@ class Export:
     """Parity, accuracy, latency."""
 
 
-def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
+def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
     """The settled rows that the fit in `forward_model` never saw.
 
     Args:
         config: the `ForwardModelConfig` of the fit.
     Raises:
-        ArtifactError: the data set is not the one that was fitted.
+        ArtifactError: the data set is not the one that was fitted, or as `settled_rows`.
     """
     fitted_on = (artifacts.done_marker(forward_model) or {}).get("inputs", {}).get("sample")
     if fitted_on != (artifacts.done_marker(dataset) or {}).get("output_hash"):
@@ -90,10 +90,7 @@ def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, 
             f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
         )
     seed = artifacts.load(forward_model / artifacts.PROVENANCE)["seed"]
-    data = artifacts.load(dataset)
-    settled = {name: column[data["converged"]] for name, column in data.items()}
-    _, held_out = split_rows(len(settled["seed"]), config.held_out, seed)
-    return {name: column[held_out] for name, column in settled.items()}
+    return settled_split(robot, artifacts.load(dataset), config.held_out, seed)[1]
 
 
 def export_controller(

@@ -48,7 +48,31 @@ def open_checkpoints(directory: Path, identity: str, minimise: str | None = None
         ),
         **ranking,
     )
-    return ocp.CheckpointManager(directory.absolute(), options=options)
+    return _Checkpoints(directory.absolute(), options=options, minimise=minimise)
+
+
+class _Checkpoints(ocp.CheckpointManager):
+    """Never takes a checkpoint for the best of which nothing is known."""
+
+    def __init__(self, *arguments: Any, minimise: str | None, **options: Any):
+        super().__init__(*arguments, **options)
+        self._where, self._minimise = arguments[0], minimise
+
+    def best_step(self) -> int | None:
+        """The step with the smallest metric.
+
+        Raises:
+            ArtifactError: no checkpoint has a finite one.
+        """
+        step = super().best_step()
+        if step is None or self._minimise is None:
+            return step
+        if not math.isfinite(_score_of(self._minimise)(self.metrics(step) or {})):
+            raise artifacts.ArtifactError(
+                f"{self._where}: no checkpoint has a finite {self._minimise}, so none can be chosen; the data or the "
+                "training are unsound: look into progress.jsonl beside it"
+            )
+        return step
 
 
 def save(
@@ -113,7 +137,7 @@ def _check_identity(directory: Path, identity: str) -> None:
 
 def _score_of(name: str) -> Any:
     def score(metrics: Mapping[str, float | None]) -> float:
-        value = metrics[name]
+        value = metrics.get(name)
         return value if value is not None and math.isfinite(value) else math.inf  # NaN has no place in a sort
 
     return score

@@ -19,6 +19,7 @@ from qjrl.robot.forward_model import (
     pose_function,
 )
 from qjrl.robot.model_uncertainty import calibrate
+from qjrl.robot.settled_rows import settled_rows
 from qjrl.robot.verbs import Robot, bends_from_cables
 
 Rows = Mapping[str, np.ndarray]
@@ -32,7 +33,7 @@ def fit_forward_model(
     Returns:
         The best model, and its held-out errors beside the nominal closed form's on the same rows.
     """
-    train, held_out = settled_split(data, config.held_out, seed)
+    train, held_out = settled_split(robot, data, config.held_out, seed)
     model, result = fit_rows(robot, config, (train, held_out), seed, directory)
     metrics = {
         "form": config.form,
@@ -77,9 +78,13 @@ def fit_rows(
     return ForwardModel(result.fitted, config), result
 
 
-def settled_split(data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """The settled rows of a data set, to fit and to hold out."""
-    settled = _take(dict(data), np.flatnonzero(data["converged"]))
+def settled_split(robot: Robot, data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """The settled rows of a data set, to fit and to hold out.
+
+    Raises:
+        ArtifactError: as `settled_rows`.
+    """
+    settled = settled_rows(robot, data)
     fitted_rows, held_out_rows = split_rows(len(settled["seed"]), held_out, seed)
     return _take(settled, fitted_rows), _take(settled, held_out_rows)
 

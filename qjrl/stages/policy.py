@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     records = artifacts.load(out / "progress.jsonl")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     bare_rate = float(np.median([record["bare_steps_per_second"] for record in artifacts.load(out / BARE_RATES)]))
-    judged = [record for record in records if "evaluation/median_mm" in record]
+    judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
         "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
@@ -57,3 +58,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         100.0 * metrics["share_of_bare_rate"],
         metrics["bare_steps_per_second"],
     )
+
+
+def _is_finite(value: float | None) -> bool:
+    """False: no episode of that checkpoint was sound; it was not chosen."""
+    return value is not None and math.isfinite(value)

@@ -10,6 +10,7 @@ from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
 from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik
@@ -70,5 +71,6 @@ def run_open_loop(
     runs = {}
     for name, solved in first_commands(robot, model, ik, config.fabrik, targets, seed + _SEED).items():
         rest = settle(robot, np.asarray(solved.cable_lengths), config=simulation, advance=advance)
+        require_rest(rest.converged, f"open_loop: {name}'s answers to {target_set} targets")
         runs[name] = OpenLoopRun(solved, rest)
     return targets, runs
