@@ -106,9 +106,7 @@ def _header(path: Path, cells: list[str]) -> list[str]:
     return cells
 
 
-def _layout_of(
-    path: Path, header: list[str], layouts: Sequence[Layout], allowed: str
-) -> tuple[Layout, list[str]]:
+def _layout_of(path: Path, header: list[str], layouts: Sequence[Layout], allowed: str) -> tuple[Layout, list[str]]:
     """The layout that a header names, and the column in every place of it."""
     quantities = [one for layout in layouts for one in layout]
     columns = [column_named(cell, quantities) for cell in header]
@@ -122,7 +120,9 @@ def _layout_of(
             return layout, columns
     if all(_NUMBER.fullmatch(cell) or _NOT_FINITE.fullmatch(cell) for cell in header):
         raise ConfigError(f"{path}: has no header, its first line is numbers, allowed: a line of names, {allowed}")
-    raise ConfigError(f"{path}: has the columns {','.join(header)}, allowed: {allowed}{_difference(header, columns, layouts)}")
+    raise ConfigError(
+        f"{path}: has the columns {','.join(header)}, allowed: {allowed}{_difference(header, columns, layouts)}"
+    )
 
 
 def _difference(header: list[str], columns: list[str], layouts: Sequence[Layout]) -> str:
@@ -134,7 +134,9 @@ def _difference(header: list[str], columns: list[str], layouts: Sequence[Layout]
     if not {*wanted} & {*columns}:
         return ""
     missing = [name for name in wanted if name not in columns]
-    extra = [cell or "a column without a name" for cell, name in zip(header, columns, strict=True) if name not in wanted]
+    extra = [
+        cell or "a column without a name" for cell, name in zip(header, columns, strict=True) if name not in wanted
+    ]
     said = [f"{', '.join(names)} {verb}" for names, verb in ((missing, "missing"), (extra, "too much")) if names]
     return f" ({'; '.join(said)})"
 
@@ -165,7 +167,9 @@ def _numbers(path: Path, row: int, line: int, cells: list[str], header: list[str
     if len(cells) != len(header):
         is_split = len(cells) == 2 * len(header) and all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells)
         hint = "; decimal commas? write 0.5" if is_split else ""
-        raise ConfigError(f"{where}, does not hold {len(header)} numbers but {len(cells)}, one for each of {','.join(header)}{hint}")
+        raise ConfigError(
+            f"{where}, does not hold {len(header)} numbers but {len(cells)}, one for each of {','.join(header)}{hint}"
+        )
     for cell, name in zip(cells, header, strict=True):
         if _NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
             continue
@@ -247,9 +251,7 @@ def _held(path: Path, archive: np.lib.npyio.NpzFile) -> str:
 
 
 def _arrays_allowed(layouts: Sequence[Layout]) -> str:
-    return ", or ".join(
-        " with ".join(f"{one.name} (n, {len(one.columns)})" for one in layout) for layout in layouts
-    )
+    return ", or ".join(" with ".join(f"{one.name} (n, {len(one.columns)})" for one in layout) for layout in layouts)
 
 
 def _short(cell: str) -> str:

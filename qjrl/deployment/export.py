@@ -76,7 +76,7 @@ class Export:
     """Parity, accuracy, latency."""
 
 
-def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
+def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
     """The settled rows that the fit in `forward_model` never saw.
 
     Args:
@@ -90,7 +90,7 @@ def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any)
             f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
         )
     seed = artifacts.load(forward_model / artifacts.PROVENANCE)["seed"]
-    return settled_split(robot, artifacts.load(dataset), config.held_out, seed)[1]
+    return settled_split(artifacts.load(dataset), config.held_out, seed)[1]
 
 
 def export_controller(

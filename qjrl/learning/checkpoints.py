@@ -56,23 +56,14 @@ class _Checkpoints(ocp.CheckpointManager):
 
     def __init__(self, *arguments: Any, minimise: str | None, **options: Any):
         super().__init__(*arguments, **options)
-        self._where, self._minimise = arguments[0], minimise
+        self._minimise = minimise
 
     def best_step(self) -> int | None:
-        """The step with the smallest metric.
-
-        Raises:
-            ArtifactError: no checkpoint has a finite one.
-        """
+        """The step with the smallest metric; None: no checkpoint has a finite one."""
         step = super().best_step()
         if step is None or self._minimise is None:
             return step
-        if not math.isfinite(_score_of(self._minimise)(self.metrics(step) or {})):
-            raise artifacts.ArtifactError(
-                f"{self._where}: no checkpoint has a finite {self._minimise}, so none can be chosen; the data or the "
-                "training are unsound: look into progress.jsonl beside it"
-            )
-        return step
+        return step if math.isfinite(_score_of(self._minimise)(self.metrics(step) or {})) else None
 
 
 def save(
@@ -105,6 +96,26 @@ def restore_environment(checkpoints: ocp.CheckpointManager, step: int) -> dict[s
     """The environment arrays of one checkpoint, as they were given to `save`."""
     restored = checkpoints.restore(step, args=ocp.args.Composite(**{ENVIRONMENT: ocp.args.StandardRestore()}))
     return _unpacked(restored[ENVIRONMENT]["npz"])
+
+
+def chosen(checkpoints: ocp.CheckpointManager, minimise: str) -> int:
+    """The best step, to use.
+
+    Raises:
+        ArtifactError: no checkpoint has a finite metric, so that the choice would be blind.
+    """
+    step = checkpoints.best_step()
+    if step is None:
+        raise no_choice(Path(checkpoints.directory), minimise)
+    return step
+
+
+def no_choice(directory: Path, minimise: str) -> artifacts.ArtifactError:
+    """The error of a training of which no checkpoint is worth anything."""
+    return artifacts.ArtifactError(
+        f"{directory}: no checkpoint has a finite {minimise}, so none can be chosen; data or simulation are unsound: look into "
+        "progress.jsonl beside it"
+    )
 
 
 def rewind_log(path: Path, counter: str, last: int) -> list[dict[str, Any]]:

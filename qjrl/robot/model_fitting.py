@@ -33,7 +33,7 @@ def fit_forward_model(
     Returns:
         The best model, and its held-out errors beside the nominal closed form's on the same rows.
     """
-    train, held_out = settled_split(robot, data, config.held_out, seed)
+    train, held_out = settled_split(data, config.held_out, seed)
     model, result = fit_rows(robot, config, (train, held_out), seed, directory)
     metrics = {
         "form": config.form,
@@ -78,13 +78,13 @@ def fit_rows(
     return ForwardModel(result.fitted, config), result
 
 
-def settled_split(robot: Robot, data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def settled_split(data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """The settled rows of a data set, to fit and to hold out.
 
     Raises:
         ArtifactError: as `settled_rows`.
     """
-    settled = settled_rows(robot, data)
+    settled = settled_rows(data)
     fitted_rows, held_out_rows = split_rows(len(settled["seed"]), held_out, seed)
     return _take(settled, fitted_rows), _take(settled, held_out_rows)
 

@@ -5,13 +5,12 @@ from collections.abc import Mapping
 import numpy as np
 
 from qjrl.artifacts import ArtifactError
-from qjrl.robot.verbs import Robot
 
-# Columns that models are fitted on and judged by.
-_NEEDED = ("cable_lengths", "pose", "bends", "strand_tension", "converged", "seed")
+# Columns that models are fitted on and judged by -> their axes.
+_NEEDED = {"cable_lengths": 2, "pose": 2, "bends": 3, "strand_tension": 2, "converged": 1, "seed": 1}
 
 
-def settled_rows(robot: Robot, data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np.ndarray]:
+def settled_rows(data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np.ndarray]:
     """The rows of a data set at which the arm came to rest, all columns.
 
     Args:
@@ -21,7 +20,7 @@ def settled_rows(robot: Robot, data: Mapping[str, np.ndarray], least: int = 2) -
         ArtifactError: one line; columns are missing or have other shapes, fewer than `least` rows rest, or a row that counts
             as settled holds a value that is not finite.
     """
-    converged = _checked(robot, data)
+    converged = _checked(data)
     rows = np.flatnonzero(converged)
     if len(rows) < least:
         raise ArtifactError(
@@ -40,23 +39,16 @@ def settled_rows(robot: Robot, data: Mapping[str, np.ndarray], least: int = 2) -
     return {name: column[rows] for name, column in data.items()}
 
 
-def _checked(robot: Robot, data: Mapping[str, np.ndarray]) -> np.ndarray:
+def _checked(data: Mapping[str, np.ndarray]) -> np.ndarray:
     """`converged` (n,), after all columns have been found to be what they should."""
     missing = [name for name in _NEEDED if name not in data]
     if missing:
         raise ArtifactError(f"sample: its data set has no {missing[0]}; run stages=[sample]")
     count = len(data["converged"])
-    shapes = {
-        "cable_lengths": (count, robot.num_cables),
-        "pose": (count, 9),
-        "bends": (count, robot.num_segments, 2),
-        "strand_tension": (count, robot.num_strands),
-        "converged": (count,),
-        "seed": (count,),
-    }
-    for name, shape in shapes.items():
-        if data[name].shape != shape:
-            raise ArtifactError(f"sample: {name} of its data set has the shape {data[name].shape}, allowed: {shape}")
-        if data[name].dtype.kind not in "biuf":
-            raise ArtifactError(f"sample: {name} of its data set holds {data[name].dtype} values, allowed: real numbers")
+    for name in _NEEDED:
+        shape, kind = data[name].shape, data[name].dtype
+        if len(shape) != _NEEDED[name] or shape[0] != count or (name == "pose" and shape[1] != 9):
+            raise ArtifactError(f"sample: {name} of its data set has the shape {shape}, beside {count} rows")
+        if kind.kind not in "biuf":
+            raise ArtifactError(f"sample: {name} of its data set holds {kind} values, allowed: real numbers")
     return data["converged"].astype(bool)

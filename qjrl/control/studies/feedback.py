@@ -69,7 +69,7 @@ def measure_and_correct(
     errors = []
     for number in range(measurements + 1):
         rest = settle(robot, lengths, config=simulation, advance=advance)
-        require_rest(rest.converged, "accuracy: commands corrected by measurements")
+        require_rest(rest.converged, f"accuracy: commands after {number} measurements")
         errors.append([np.where(rest.converged, error, np.nan) for error in row_errors(rest.pose, targets)])
         if number == measurements:
             break
