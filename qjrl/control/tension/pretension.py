@@ -17,6 +17,7 @@ from qjrl.control.tension.path import path_poses
 from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 
 # Offset of the run's seed: poses that the search has not seen.
@@ -122,11 +123,15 @@ def survey(robot: Robot, config: PretensionConfig, simulation: SettleConfig, pos
 
     Args:
         advance: called with the number of newly settled poses.
+    Raises:
+        ConfigError: no pose rests with the robot's own pretension.
     """
     checks = {
         pretension: _check(robot, config, simulation, pretension, poses.cable_lengths, advance)
         for pretension in curve_of(robot, config)
     }
+    own = checks[float(robot.pretension)].rest.converged
+    require_rest(own, "pretension: poses at the robot's own pretension")
     return Survey(poses, checks)
 
 
