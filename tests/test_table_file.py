@@ -72,7 +72,9 @@ def test_one_fault_anywhere_in_a_csv_is_one_line_that_names_the_place(tmp_path, 
         rows = [[f"{cell:.6f}" for cell in row] for row in STROKES * random.uniform(-0.5, 0.5, (5, 4))]
         header, words = list(NAMES), []
         row, column = random.integers(5), random.integers(4)
-        fault = random.choice(["cell", "nan", "short", "long", "twice", "missing", "extra", "unit", "mm", "comma", "none"])
+        fault = random.choice(
+            ["cell", "nan", "short", "long", "twice", "missing", "extra", "unit", "mm", "comma", "none"]
+        )
         place = f"row {row} (the first is 0), line {row + 2}"
         if fault in ("cell", "nan", "comma"):
             bad = {"cell": ["x", "", "1_0", "0x1", "1.0D-3", "--1"], "nan": ["nan", "-INF", "1e999"], "comma": ["0,01"]}
@@ -109,7 +111,10 @@ def test_one_fault_anywhere_in_a_csv_is_one_line_that_names_the_place(tmp_path, 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("x,y,z\n" + "0.03,0,0.215,0.015,0,0.215\n" * 2, "row 0 (the first is 0), line 2, does not hold 3 numbers but 6"),
+        (
+            "x,y,z\n" + "0.03,0,0.215,0.015,0,0.215\n" * 2,
+            "row 0 (the first is 0), line 2, does not hold 3 numbers but 6",
+        ),
         ("x;y;z\n0,03;0;0,2\n0;0;0,2\n", "separated by ';'"),
         ("x\ty\tz\n0\t0\t0.2\n", "separated by tabulators"),
         ("x,y,z\n0,03,0,01,0,2\n", "decimal commas?"),

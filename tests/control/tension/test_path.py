@@ -58,7 +58,9 @@ def test_poses_are_met_in_every_form(tmp_path):
         np.testing.assert_allclose(found.nominal_pose[[0, -1]], pose[[0, -1]], atol=1e-5)
         assert len(path_poses(arm, str(tmp_path / name), 4)) == 4
     (tmp_path / "far.csv").write_text("x,y,z\n0,0,9\n0,0.1,9\n")
-    with pytest.raises(ConfigError, match=r"^pretension\.path: .*point 1 .* is 9.001 m from the base, allowed: up to 0.48 m"):
+    with pytest.raises(
+        ConfigError, match=r"^pretension\.path: .*point 1 .* is 9.001 m from the base, allowed: up to 0.48 m"
+    ):
         path_poses(arm, str(tmp_path / "far.csv"), 10)
 
 
