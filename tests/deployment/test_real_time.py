@@ -90,8 +90,8 @@ def test_a_finite_reading_that_no_arm_can_have_holds_the_last_command():
         controller = SafeController(Counting(), 0.015, limits, 0.02)
         controller.begin(np.zeros(9), np.zeros(4))
         controller.step(READING, AGE)
-        assert controller.step(READING + [[rate * 0.02, 0.0], [0.0, 0.0]], AGE)[1] == flag
-    while controller.step(READING + [[1.0, 0.0], [0.0, 0.0]], AGE)[1] == TOO_FAST:  # it did move: believed in the end
+        assert controller.step(np.array([[rate * 0.02, 0.0], [0.0, 0.0]]), AGE)[1] == flag
+    while controller.step(np.array([[1.0, 0.0], [0.0, 0.0]]), AGE)[1] == TOO_FAST:  # it did move: believed in the end
         pass
 
 

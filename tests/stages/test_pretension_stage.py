@@ -67,7 +67,7 @@ def test_a_bad_path_is_refused_when_the_configuration_is_built(tmp_path):
     (tmp_path / "short.csv").write_text("0,0,0\n")
     for path, words in {
         "nowhere.csv": "cannot be read",
-        str(tmp_path / "short.csv"): "allowed: 4 cable lengths",
+        str(tmp_path / "short.csv"): "has no header, its first line is numbers",
     }.items():
         with pytest.raises(ConfigError, match=rf"^pretension\.path: .*{words}"):
             build(stage.Config, tree | {"pretension": as_mapping(PretensionConfig()) | {"path": path}})
