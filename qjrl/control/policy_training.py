@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import jax
 import numpy as np
 
-from qjrl.artifacts import append_json_line
+from qjrl.artifacts import ArtifactError, append_json_line
 from qjrl.config import ConfigError, NotIdentity, Range
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnvironment
@@ -19,6 +19,7 @@ from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
 from qjrl.learning import processes
+from qjrl.learning.checkpoints import no_choice
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import num_copies
 from qjrl.learning.ppo.iteration import Record
@@ -104,9 +105,25 @@ def train_policy(
         callbacks = [_bare_rates(environment, directory / BARE_RATES)]
         if config.tensorboard:
             callbacks.append(stack.enter_context(tensorboard(directory / "tensorboard")))
-        policy = train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
+        policy = _trained(environment, config, seed, directory, evaluate, callbacks)
     left_out = {name: int(np.sum(targets["target_set"] == i)) - len(rows[name]) for i, name in enumerate(TARGET_SETS)}
     return TrainedPolicy(policy, left_out)
+
+
+def _trained(
+    environment: ResidualEnvironment,
+    config: PolicyConfig,
+    seed: int,
+    directory: Path,
+    evaluate: Callable,
+    callbacks: list,
+) -> Policy:
+    try:
+        return train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
+    except ArtifactError as error:  # no file of a policy: no checkpoint was the best
+        if "does not exist" not in str(error):
+            raise
+        raise no_choice(directory / "checkpoints", "median_mm of the judged targets") from error
 
 
 def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:
@@ -119,10 +136,14 @@ def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     """Median errors on every set, and over all: by which the policy to keep is chosen."""
     millimetres, is_valid = 1e3 * judgement.position_error, judgement.is_valid
     medians = {
-        f"{name}_median_mm": float(np.median(millimetres[is_valid & (target_set == i)]))
-        for i, name in enumerate(TARGET_SETS)
+        f"{name}_median_mm": _median(millimetres[is_valid & (target_set == i)]) for i, name in enumerate(TARGET_SETS)
     }
-    return medians | {"median_mm": float(np.median(millimetres[is_valid]))}
+    return medians | {"median_mm": _median(millimetres[is_valid])}
+
+
+def _median(values: np.ndarray) -> float:
+    """NaN where no episode is sound: such a checkpoint is never the best."""
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _bare_rates(environment: ResidualEnvironment, path: Path) -> Callable[[Record], None]:

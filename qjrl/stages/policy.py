@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +41,10 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     records = numbers_again(artifacts.load(out / "progress.jsonl"))
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     bare_rate = float(np.median([record["bare_steps_per_second"] for record in artifacts.load(out / BARE_RATES)]))
-    judged = [record for record in records if "evaluation/median_mm" in record]
+    judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
-        "kept_env_steps": min(judged, key=_score)["env_steps"],
+        "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
         "steps_per_second": float(np.median(rates)),
@@ -65,6 +66,6 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     )
 
 
-def _score(record: dict[str, Any]) -> float:
-    """The error by which checkpoints are ranked; one that is no number ranks last."""
-    return float(np.nan_to_num(record["evaluation/median_mm"], nan=np.inf))
+def _is_finite(value: float | None) -> bool:
+    """False: no episode of that checkpoint was sound; it was not chosen."""
+    return value is not None and math.isfinite(value)

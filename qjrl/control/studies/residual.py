@@ -25,6 +25,7 @@ from qjrl.learning.ppo.policy import Policy
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.rested import require_valid
 from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
@@ -161,6 +162,7 @@ def errors_of(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     found = {}
     for index, name in enumerate(TARGET_SETS):
         rows = judgement.is_valid & (target_set == index)
+        require_valid(rows[target_set == index], f"residual: episodes to {name} targets")
         found[f"{name}_median_mm"] = float(np.median(millimetres[rows]))
         found[f"{name}_p90_mm"] = float(np.percentile(millimetres[rows], 90))
         found[f"{name}_median_deg"] = float(np.median(degrees[rows]))
