@@ -32,7 +32,7 @@ class SettleConfig:
     """... for this long [s]."""
     max_time: Annotated[float, Range(above=0.0, high=600.0)] = 6.0
     """What does not rest by then is flagged [s of simulated time]."""
-    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 10.0
+    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] | None = None
     """Joint damping while settling, times the robot's: the equilibrium stays, the oscillation does not."""
     batch_size: Annotated[int, Range(low=1, high=65536)] = 256
     """Simulations side by side."""
@@ -49,8 +49,8 @@ class SettleConfig:
         Implicit damping weakens the forces of rows as damping * timestep / inertia, until they chatter."""
         return SolverOptions(
             self.timestep,
-            damping_scale=self.damping_scale,
-            armature_scale=min(max(0.5 * self.damping_scale, 1.0), 10.0),
+            damping_scale=self.damping_scale or 1.0,
+            armature_scale=min(max(0.5 * (self.damping_scale or 1.0), 1.0), 10.0),
             strand_damping_scale=0.1,
             lumping=2,
         )
