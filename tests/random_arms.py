@@ -42,8 +42,8 @@ def random_mapping(seed: int) -> dict[str, Any]:
     for name, power in {"joint_mass": 3, "link_mass": 3, "joint_stiffness": 4, "joint_damping": 4, "armature": 5}.items():
         mechanics[name] *= ratio**power if law == 2 else 1.0
     pull = _pull(mapping) / _pull(altered(SHIPPED)) if law else 1.0
-    for name in ("stiffness", "pretension", "damping"):
-        strands[name] = _in_decade(random, pull * strands[name])
+    for name, by in {"stiffness": pull / ratio, "pretension": pull, "damping": pull / ratio}.items():
+        strands[name] = _in_decade(random, (by if law else 1.0) * strands[name])
     for name in ("joint_stiffness", "joint_damping", "armature"):
         mechanics[name] = _in_decade(random, mechanics[name])
     strands["strength"] *= max(pull, 1.0)

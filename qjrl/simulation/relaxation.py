@@ -17,6 +17,7 @@ from qjrl.robot.quaternion_arm.cables import cable_matrix
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE, SolverOptions
+from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -75,9 +76,7 @@ def _steepest_height(robot: Robot) -> float:
 def _light(robot: Robot, inertia: float, armature: float) -> Robot:
     """The arm with masses whose inertia is small against `inertia` a hinge, under as much more gravity; no damping."""
     config, mechanics = robot.config, robot.config.mechanics
-    joint = config.joint
-    height = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
-    length = robot.num_joints * (height + config.link_length) + mechanics.link_radius
+    length = robot.num_joints * (height_at_home(config.joint) + config.link_length) + mechanics.link_radius
     mass = robot.num_joints * (mechanics.joint_mass + mechanics.link_mass) + mechanics.payload
     largest = mass * length**2 * 4.0 * sum(robot.joints_per_segment)  # per hinge pair of armatures, in the softest case
     lightness = min(1.0, _LIGHT * 2.0 * inertia / largest)
