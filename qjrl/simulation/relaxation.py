@@ -1,10 +1,8 @@
-"""How an arm is brought to rest: the same forces at rest, with the inertia and the friction that get there soonest.
+"""What is simulated to bring an arm to rest: a stand-in with the arm's forces, and the inertia that gets there soonest.
 
-Where an arm rests, inertia and damping do not matter. So what settles is a stand-in: the arm's springs, strands and weights,
-but hinges with an armature for the stiffest mode to take `_STIFFEST` radians a step, masses so light that they hardly
-count (under as much more gravity), and no damping. Instead every step takes a share of all velocities, at first the one
-that damps the softest mode critically: then all modes die away alike. `settle_judging` changes that share where a row shows
-that its softest mode is another, as with slack strands.
+Where an arm rests, inertia and damping do not matter. So the stand-in has the arm's springs, strands and weights, but hinges
+with an armature for which the stiffest mode turns by `STIFFEST` radians a time step, masses so light that they hardly
+count, under as much more gravity, and no damping. `settle_rule` damps it. So no time constant of the arm is left.
 """
 
 import dataclasses
@@ -16,18 +14,18 @@ from qjrl.robot import build_mjcf
 from qjrl.robot.quaternion_arm.cables import cable_matrix
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
-from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE, SolverOptions
+from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE
 from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.settle_rule import critical_loss
 
-# Of the stiffest mode at home in one time step [rad]; beyond 2 the integration is unstable.
-_STIFFEST = 1.0
-# Largest inertia of the masses, relative to that of the armatures.
+STIFFEST = 1.0
+"""Phase of the stiffest mode at home in one time step [rad]; from 2 on the integration is unstable."""
+# Inertia of the masses at most, relative to the armatures'.
 _LIGHT = 0.1
-# A slide's inertia, relative to its hinges', seen from the joint's angle where it counts most.
+# Inertia of a joint's slide, seen from its half angle where the height changes most, relative to its hinges'.
 _SLIDE_SHARE = 0.5
-LEAST_LOSS, MOST_LOSS = 1e-4, 0.5
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,28 +33,24 @@ class Relaxation:
     """What the engines simulate."""
 
     mjcf: str
-    """Of the stand-in."""
-    loss: float
-    """Share of the velocities that a step takes, at first."""
-    is_adaptive: bool
-    """Whether each row's loss follows what the row shows."""
+    """Of the stand-in, or of the arm itself with more damping."""
+    loss: float | None
+    """Share of the velocities that a time step takes at first, see `settle_rule`; None: the joints' damping is all there is."""
 
 
 def relaxation(robot: Robot, config: SettleConfig) -> Relaxation:
-    """Of an arm; with a `damping_scale`, the arm itself with so many times its joints' damping, as before."""
+    """Of an arm: the stand-in, or where `damping_scale` is a number the arm itself with so many times its joints' damping."""
     if config.damping_scale is not None:
-        return Relaxation(build_mjcf(robot, config.solver), 0.0, False)
-    stiffness, unit_inertia = _stiffness(robot), 4.0 * np.repeat(robot.joints_per_segment, 2) / 2.0
-    root = np.sqrt(unit_inertia)
-    modes = np.linalg.eigvalsh(stiffness / np.outer(root, root))
-    armature = modes[-1] * (config.timestep / _STIFFEST) ** 2
-    softest = math.sqrt(max(modes[0], 0.0) / armature) * config.timestep
-    slide = _SLIDE_SHARE * 2.0 * armature / max(_steepest_height(robot), 1e-9) ** 2
-    options = dataclasses.replace(
-        config.solver, armature_scale=slide / SLIDE_ARMATURE, damping_scale=1.0, strand_damping_scale=0.0
-    )
-    stand_in = _light(robot, armature, armature / options.armature_scale)
-    return Relaxation(build_mjcf(stand_in, options), min(max(2.0 * softest, LEAST_LOSS), MOST_LOSS), True)
+        return Relaxation(build_mjcf(robot, config.solver), None)
+    inertia = 2.0 * np.repeat(robot.joints_per_segment, 2)  # of a half angle, for each unit of its hinges' armature
+    modes = np.linalg.eigvalsh(_stiffness(robot) / np.sqrt(np.outer(inertia, inertia)))
+    armature = modes[-1] * (config.timestep / STIFFEST) ** 2
+    steepest = _steepest_height(robot)
+    slide = _SLIDE_SHARE * 2.0 * armature / steepest**2 if steepest > 0.0 else SLIDE_ARMATURE
+    options = dataclasses.replace(config.solver, armature_scale=slide / SLIDE_ARMATURE, strand_damping_scale=0.0)
+    stand_in = _stand_in(robot, armature, options.armature_scale)
+    loss = critical_loss(np, np.float64(modes[0] / armature * config.timestep**2))
+    return Relaxation(build_mjcf(stand_in, options), float(loss))
 
 
 def _stiffness(robot: Robot) -> np.ndarray:
@@ -70,23 +64,22 @@ def _steepest_height(robot: Robot) -> float:
     joint = robot.config.joint
     half = np.linspace(0.0, math.radians(joint.bend_limit_deg + joint.stop_margin_deg) / 2.0, 50)
     heights = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, np.cos(half))
-    return float(np.abs(np.gradient(heights, half)).max())
+    return float(np.abs(np.gradient(heights, half)).max()) if robot.joint_model == "rolling" else 0.0
 
 
-def _light(robot: Robot, inertia: float, armature: float) -> Robot:
-    """The arm with masses whose inertia is small against `inertia` a hinge, under as much more gravity; no damping."""
+def _stand_in(robot: Robot, armature: float, scale: float) -> Robot:
+    """The arm with an armature [kg m^2] that is multiplied by `scale` later, light masses and no damping."""
     config, mechanics = robot.config, robot.config.mechanics
     length = robot.num_joints * (height_at_home(config.joint) + config.link_length) + mechanics.link_radius
     mass = robot.num_joints * (mechanics.joint_mass + mechanics.link_mass) + mechanics.payload
-    largest = mass * length**2 * 4.0 * sum(robot.joints_per_segment)  # per hinge pair of armatures, in the softest case
-    lightness = min(1.0, _LIGHT * 2.0 * inertia / largest)
-    light = dataclasses.replace(
+    lightness = min(1.0, _LIGHT * armature / (2.0 * robot.num_joints * mass * length**2))  # all of it at the tip at most
+    stand_in = dataclasses.replace(
         mechanics,
         joint_mass=lightness * mechanics.joint_mass,
         link_mass=lightness * mechanics.link_mass,
         payload=lightness * mechanics.payload,
         gravity=tuple(component / lightness for component in mechanics.gravity),
-        armature=armature,
+        armature=armature / scale,
         joint_damping=0.0,
     )
-    return robot.replace(config=dataclasses.replace(config, mechanics=light))
+    return robot.replace(config=dataclasses.replace(config, mechanics=stand_in))
