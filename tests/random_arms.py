@@ -39,7 +39,13 @@ def random_mapping(seed: int) -> dict[str, Any]:
     mapping["cables"] = _cables(random, segments, circle)
     mechanics, strands = mapping["mechanics"], mapping["strands"]
     mechanics["link_radius"] = _near(random, 0.018 * ratio)
-    for name, power in {"joint_mass": 3, "link_mass": 3, "joint_stiffness": 4, "joint_damping": 4, "armature": 5}.items():
+    for name, power in {
+        "joint_mass": 3,
+        "link_mass": 3,
+        "joint_stiffness": 4,
+        "joint_damping": 4,
+        "armature": 5,
+    }.items():
         mechanics[name] *= ratio**power if law == 2 else 1.0
     pull = _pull(mapping) / _pull(altered(SHIPPED)) if law else 1.0
     for name, by in {"stiffness": pull / ratio, "pretension": pull, "damping": pull / ratio}.items():

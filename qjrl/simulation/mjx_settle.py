@@ -91,7 +91,9 @@ def _compile(stand_in: Relaxation, config: SettleConfig, size: int) -> _Compiled
     arm = load_arm(stand_in.mjcf, backend=config.backend)
     rows = _rows(stand_in, config, np.zeros((size, arm.host.nq)), np.zeros((size, arm.host.nu)))
     with compiling(f"MJX to settle {size} arms"):
-        move = compile_batch(partial(_move, config, stand_in.loss is not None), (None, None, 0), arm.model, arm.data, rows)
+        move = compile_batch(
+            partial(_move, config, stand_in.loss is not None), (None, None, 0), arm.model, arm.data, rows
+        )
         look = compile_batch(partial(_look, arm.tip), (None, None, 0), arm.model, arm.data, rows)
     return _Compiled(partial(move, arm.model, arm.data), partial(look, arm.model, arm.data))
 
@@ -99,7 +101,11 @@ def _compile(stand_in: Relaxation, config: SettleConfig, size: int) -> _Compiled
 def _rows(stand_in: Relaxation, config: SettleConfig, positions: np.ndarray, commands: np.ndarray) -> _Row:
     """Simulations at rest at positions (n, nq) [rad, m], holding commands (n, strands) [m]."""
     positions, commands = np.asarray(positions, np.float32), np.asarray(commands, np.float32)
-    zeros, counts, ones = np.zeros_like(positions), np.zeros(len(positions), np.int32), np.ones(len(positions), np.float32)
+    zeros, counts, ones = (
+        np.zeros_like(positions),
+        np.zeros(len(positions), np.int32),
+        np.ones(len(positions), np.float32),
+    )
     state = ArmState(positions, zeros, commands, zeros)
     if stand_in.loss is None:
         loss, rest_speed = 0.0, config.rest_speed

@@ -72,7 +72,9 @@ def _stand_in(robot: Robot, armature: float, scale: float) -> Robot:
     config, mechanics = robot.config, robot.config.mechanics
     length = robot.num_joints * (height_at_home(config.joint) + config.link_length) + mechanics.link_radius
     mass = robot.num_joints * (mechanics.joint_mass + mechanics.link_mass) + mechanics.payload
-    lightness = min(1.0, _LIGHT * armature / (2.0 * robot.num_joints * mass * length**2))  # all of it at the tip at most
+    lightness = min(
+        1.0, _LIGHT * armature / (2.0 * robot.num_joints * mass * length**2)
+    )  # all of it at the tip at most
     stand_in = dataclasses.replace(
         mechanics,
         joint_mass=lightness * mechanics.joint_mass,

@@ -1,8 +1,9 @@
 """What ties the arm's hinges and slides: equal halves, equal joints of a segment, the rolling height, the stop.
 
 Two lengths are measured by tendons at every joint. `measure`: from c below the lower pivot to c along the chord,
-2 c cos(theta/4), c being the height at home: it depends on theta alone, and a quartic of it gives the slide. `stop`, at the first joint of a
-segment, is the same length with a lower bound, so that the limit acts on theta whatever the direction.
+2 c cos(theta/4), where c is the joint's height at home: it depends on theta alone, and a quartic of it gives the slide.
+`stop`, at the first joint of a segment, is the same length with a lower bound, so that the limit acts on theta whatever the
+direction.
 """
 
 import math
@@ -16,8 +17,7 @@ from qjrl.robot.quaternion_arm.description import JointConfig, QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.naming import first_of_segment, joint_labels, leader
 
-# Lengths are relative to the arm's own, so that a model in another size is the same model. Sites of the measuring tendons lie
-# one joint's height at home from the pivots; any value serves, near the joint's size is best.
+# All lengths here are relative to the arm's, so that an arm in another size has the same model in that size.
 # Nearly rigid rows. With MuJoCo's default impedance the tip rests 6 mm off and moves with armature and solref.
 HARD_SOLIMP = "0.9999 0.9999 0.001 0.5 2"
 # The slide follows the closed form this closely, relative to the crossed links; 2e-7 for the default arm.
@@ -25,9 +25,9 @@ LARGEST_FIT_ERROR = 4e-5
 # MuJoCo makes a row as soft as its inverse inertia *at home*, where `measure` does not change to first order: a limit on
 # it alone is infinitely hard and chatters (theta up to 80 degrees at a stop of 72, for ever). So `stop` adds two strings
 # that run sideways from far points of the chord to the axes of the two plates: what one pays out the other takes in, as
-# the halves are equal, and only the inverse inertia at home sees them. FAR, in heights of a joint, makes them straight. SOFTNESS is how much
-# of their length counts, relative to how fast `measure` changes at the stop: with 0.8 the stop gives way by 0.3 degrees
-# under the full strength of all strands, and rests; with 0.5 some poses chatter.
+# the halves are equal, and only the inverse inertia at home sees them. FAR, in heights of a joint, makes them straight.
+# SOFTNESS is how much of their length counts, relative to how fast `measure` changes at the stop: with 0.8 the stop gives
+# way by 0.3 degrees under the full strength of all strands, and rests; with 0.5 some poses chatter.
 FAR = 1000.0
 SOFTNESS = 0.8
 HIDDEN_SITE = {"size": "0.001", "group": "4"}
