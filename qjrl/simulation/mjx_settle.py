@@ -129,7 +129,7 @@ def _move(config: SettleConfig, is_adaptive: bool, model: mjx.Model, home: mjx.D
         is_quiet = mean_speed(jnp, data.qvel) < row.rest_speed
         quiet = jnp.where(is_quiet, row.quiet_steps + 1, 0)
         positions = row.state.joint_positions
-        moved = row.replace(state=row.state.moved_to(data), steps=row.steps + 1, quiet_steps=quiet)
+        moved = dataclasses.replace(row, state=row.state.moved_to(data), steps=row.steps + 1, quiet_steps=quiet)
         is_end = moved.steps % config.hold_steps == 0
         looked = _looked(config, is_adaptive, moved, positions, kicks)
         moved = jax.tree.map(lambda new, old: jnp.where(is_end, new, old), looked, moved)
@@ -151,8 +151,8 @@ def _looked(config: SettleConfig, is_adaptive: bool, row: _Row, positions: jax.A
         rest_speed = jnp.maximum(config.rest_angle * approaches / config.timestep, REST_SPEED)
         is_first = row.steps == config.hold_steps  # has no kicks to compare with
         loss, rest_speed = jnp.where(is_first, row.loss, loss), jnp.where(is_first, row.rest_speed, rest_speed)
-        row = row.replace(loss=loss, rest_speed=rest_speed)
-    return row.replace(turns=turns, positions_then=positions, velocities_then=velocities, kicks_then=kicks)
+        row = dataclasses.replace(row, loss=loss, rest_speed=rest_speed)
+    return dataclasses.replace(row, turns=turns, positions_then=positions, velocities_then=velocities, kicks_then=kicks)
 
 
 def _look(tip: int, model: mjx.Model, home: mjx.Data, row: _Row) -> _Reading:

@@ -84,4 +84,4 @@ def _stand_in(robot: Robot, armature: float, scale: float) -> Robot:
         armature=armature / scale,
         joint_damping=0.0,
     )
-    return robot.replace(config=dataclasses.replace(config, mechanics=stand_in))
+    return dataclasses.replace(robot, config=dataclasses.replace(config, mechanics=stand_in))

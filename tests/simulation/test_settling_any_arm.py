@@ -104,6 +104,7 @@ def messages(arm, lengths, config, caplog) -> tuple[np.ndarray, str]:
     caplog.clear()
     with caplog.at_level(logging.WARNING):
         result = settle(arm, lengths, config=config)
+    assert result.status is not None
     return result.status, caplog.text
 
 
