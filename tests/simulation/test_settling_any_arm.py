@@ -14,7 +14,7 @@ from qjrl.simulation.sampling import sample_lengths
 from qjrl.simulation.settle_problem import SettleStatus
 from qjrl.simulation.settling import unsettled
 
-FEW_ARMS, MANY_ARMS = [1, 9, 14, 38, 46, 54], 120
+FEW_ARMS, MANY_ARMS = [1, 9, 14, 38, 39, 46], 120
 
 
 def small():
