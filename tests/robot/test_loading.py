@@ -129,7 +129,7 @@ def test_a_robot_is_a_frozen_tree_of_numbers():
 
 
 def scaled(name: str, factor: float, **changes):
-    """A shipped arm with all its lengths times a factor."""
+    """A shipped arm with all its lengths times a factor, its masses times the third power of it."""
     mapping = altered(name, **changes)
     for part, keys in {
         "joint": ("crossed_link_length", "pin_distance", "plate_to_pin"),
@@ -139,13 +139,15 @@ def scaled(name: str, factor: float, **changes):
         for key in keys:
             mapping[part][key] *= factor
     mapping["link_length"] *= factor
+    for key in ("joint_mass", "link_mass"):
+        mapping["mechanics"][key] *= factor**3
     return robot_from_mapping(mapping)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_an_arm_in_another_size_is_as_allowed_and_its_heights_as_well_fitted(name):
-    """As is one in millimetres; the quartic of the slide by the length measured is the same in the arm's own unit."""
-    factors = [*np.geomspace(0.1, 10.0, 7).tolist(), 1000.0]
+    """The quartic of the slide by the length measured is the same in the arm's own unit."""
+    factors = np.geomspace(0.1, 10.0, 7).tolist()
     if load_robot(name).joint_model == "spherical":
         for factor in factors:
             assert build_mjcf(scaled(name, factor))
@@ -158,7 +160,7 @@ def test_an_arm_in_another_size_is_as_allowed_and_its_heights_as_well_fitted(nam
         np.testing.assert_allclose(in_own_unit, reference, rtol=1e-6, atol=1e-12)
 
 
-@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0, 1000.0])
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
 def test_pins_too_far_apart_are_refused_in_every_size_and_what_is_named_is_allowed(factor):
     with pytest.raises(ConfigError, match="allowed: up to about") as refused:
         build_mjcf(scaled("qj_22", factor, joint__crossed_link_length=0.036, joint__pin_distance=0.0345))
