@@ -16,14 +16,13 @@ from qjrl.analysis.report_html import Number
 from qjrl.analysis.tables import as_text
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
-from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.plain_json import numbers_again
 from qjrl.provenance import read_provenance
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -37,8 +36,9 @@ class Config:
     name: str
     seed: int
 
-    def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps."""
+        check_control_period(self.policy.environment, self.simulation.timestep)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

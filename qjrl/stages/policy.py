@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.control.policy_training import BARE_RATES, PolicyConfig, train_policy
+from qjrl.control.policy_training import BARE_RATES, PolicyConfig, check_training, train_policy
 from qjrl.learning import processes
 from qjrl.plain_json import numbers_again
 from qjrl.robot import robot_from_mapping
@@ -23,6 +23,10 @@ class Config:
     simulation: SettleConfig
     policy: PolicyConfig
     seed: int
+
+    def check(self) -> None:
+        """The control period holds whole time steps, and the devices share the arms."""
+        check_training(self.policy, self.simulation)
 
     @property
     def blocks(self) -> dict[str, Any]:

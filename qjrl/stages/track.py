@@ -36,9 +36,9 @@ class Config:
     track: TrackConfig
     seed: int
 
-    def __post_init__(self):
+    def check(self) -> None:
         make_path(self.track.path, self.track.shape)  # a file that is no path is refused before any work
-        substeps_of(self.track.period, self.simulation.timestep)
+        substeps_of(self.track.period, self.simulation.timestep, "track.period")
 
     @property
     def files(self) -> dict[str, str]:
