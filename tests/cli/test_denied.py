@@ -27,7 +27,9 @@ def unchangeable(path: Path) -> Iterator[None]:
         subprocess.run(undo, check=True)
 
 
-@pytest.mark.parametrize("place", [".", "outputs", "outputs/default", "outputs/default/dataset", "outputs/default/model"])
+@pytest.mark.parametrize(
+    "place", [".", "outputs", "outputs/default", "outputs/default/dataset", "outputs/default/model"]
+)
 def test_a_directory_that_may_not_be_changed_is_one_line(qjrl: Command, place) -> None:
     Path(place).mkdir(parents=True, exist_ok=True)
     for arguments in ([], ["-m", "seed=1,2"]):

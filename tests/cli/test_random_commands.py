@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from command import Command, Said, assert_one_line
+from hydra._internal.hydra import Hydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
@@ -38,6 +39,14 @@ def assert_told(said: Said, about: Any, most_runs: int = 1) -> None:
 
 MOST_RUNS = 8
 """Of a sweep: three keys with two values each."""
+
+
+@pytest.fixture(autouse=True)
+def _composed_once(monkeypatch) -> None:
+    """Hydra composes once more beforehand, only to see whether `hydra.mode` is set; no command here sets it."""
+    monkeypatch.setattr(Hydra, "get_mode", lambda *_, **__: None)
+
+
 KEYS = (
     *(
         "seed",
