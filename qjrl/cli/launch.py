@@ -23,13 +23,14 @@ def launch(arguments: list[str]) -> int:
     overrides, options = words.sorted_out(arguments, pipeline.STAGES)
     names.register()
     overrides, files = with_robot_files(overrides)
-    overrides = [words.for_hydra(override) for override in overrides]
+    typed = {words.for_hydra(override): override for override in overrides}
+    overrides = list(map(words.for_hydra, overrides))
     is_sweep = bool({"-m", "--multirun"} & set(options))
     outcomes: list[str] = []
     planned = None
     try:
         planned = sweeps.plan(overrides) if is_sweep else None
-        job = Job(files, planned.identity, planned.fixed) if planned else Job(files)
+        job = Job(files, typed, planned.identity, planned.fixed) if planned else Job(files, typed)
         sys.argv = ["qjrl", *overrides, *(planned.overrides if planned else []), *options]
         hydra.main(version_base=None, config_path=str(conf_folder()), config_name="config")(_job(job, outcomes))()
     except Exception as error:
@@ -69,7 +70,9 @@ def _recorded_run(cfg: Any, job: Job) -> str:
     )  # as typed, what they refer to included
     tree, problem = _resolved(cfg, overrides)
     is_first = not _index(tree)  # of several processes one keeps the record
-    with sweep.recorded(run_dir, as_typed(overrides, job.files), job.sweep, is_first) as record:
+    with sweep.recorded(
+        run_dir, as_typed([job.typed.get(one, one) for one in overrides], job.files), job.sweep, is_first
+    ) as record:
         together = (
             run_dir if job.sweep is None else sweeps.directory_of_all_parts(job, run_dir, about.sweep.dir, overrides)
         )

@@ -28,7 +28,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
 
-_ERRORS = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
+_ERRORS: Kinds = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
 _FITTED: Kinds = {
     "form": str,
     "best_epoch": int,
