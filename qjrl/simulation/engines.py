@@ -1,7 +1,7 @@
 """The engine of a configuration, as a stepper."""
 
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.minimal_stepping import MinimalStepper
+from qjrl.simulation.minimal_stepping import TIMESTEP, MinimalStepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper, Stepper
 
@@ -15,3 +15,8 @@ def make_stepper(robot: Robot, num_sims: int, config: SettleConfig, is_minimal: 
 
         return MjxStepper(robot, num_sims, config.timestep, config.backend)
     return MujocoStepper(robot, num_sims, config.timestep, config.num_threads)
+
+
+def timestep_of(config: SettleConfig, is_minimal: bool = False) -> float:
+    """Time step [s] of the stepper that `make_stepper` makes."""
+    return TIMESTEP if is_minimal else config.timestep

@@ -23,6 +23,8 @@ from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
 
 # Beyond it a simulation counts as diverged [rad, rad/s].
 LARGEST_VALUE = 1e4
+# Of the integrator [s].
+TIMESTEP = 0.005
 
 
 @struct.dataclass
@@ -40,7 +42,7 @@ class _Seen:
 class MinimalStepper:
     """`num_sims` simulations of one robot, in as many blocks side by side as there are threads."""
 
-    def __init__(self, robot: Robot, num_sims: int, timestep: float = 0.005, num_threads: int = 0):
+    def __init__(self, robot: Robot, num_sims: int, timestep: float = TIMESTEP, num_threads: int = 0):
         self.num_sims, self.timestep, self._robot = num_sims, timestep, robot
         threads = min(num_threads or usable_cores(), num_sims) if jax.default_backend() == "cpu" else 1
         self._blocks = [part for part in np.array_split(np.arange(num_sims), threads) if len(part)]
