@@ -70,9 +70,8 @@ def _recorded_run(cfg: Any, job: Job) -> str:
     )  # as typed, what they refer to included
     tree, problem = _resolved(cfg, overrides)
     is_first = not _index(tree)  # of several processes one keeps the record
-    with sweep.recorded(
-        run_dir, as_typed([job.typed.get(one, one) for one in overrides], job.files), job.sweep, is_first
-    ) as record:
+    typed: list[str] = [job.typed.get(one, one) for one in map(str, overrides)]
+    with sweep.recorded(run_dir, as_typed(typed, job.files), job.sweep, is_first) as record:
         together = (
             run_dir if job.sweep is None else sweeps.directory_of_all_parts(job, run_dir, about.sweep.dir, overrides)
         )

@@ -44,7 +44,7 @@ def make_run(directory: Path, model: ForwardModel) -> Path:
     dataset = artifacts.done_marker(directory / "dataset") or {}
     folder = directory / "forward_model"
     save_forward_model(folder / "model", ARM, model)
-    artifacts.write_json(folder / artifacts.PROVENANCE, provenance({}, None, 0))
+    artifacts.write_json(folder / artifacts.PROVENANCE, provenance({}, 0, None))
     artifacts.mark_done(folder, robot_hash=HASH, inputs={"sample": dataset["output_hash"]})
     return directory
 
