@@ -28,6 +28,7 @@ def run_stage(directory, **changes):
         "seed": 0,
     }
     config = pipeline.build(pipeline.STAGES["deploy"].load().Config, tree)
+    config.check()
     pipeline.run(["deploy"], {"deploy": config}, directory)
     return directory / "deploy"
 

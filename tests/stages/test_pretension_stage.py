@@ -63,7 +63,7 @@ def test_another_path_in_the_same_file_runs_the_stage_again(tmp_path, caplog, mo
     assert stage.Config(robot, SettleConfig(), PretensionConfig(), 0).files == {}
 
 
-def test_a_bad_path_is_refused_when_the_configuration_is_built(tmp_path):
+def test_a_bad_path_is_refused_before_any_work(tmp_path):
     tree = {"robot": read_yaml(conf_folder() / "robot" / "qj_22.yaml"), "simulation": {}, "seed": 0}
     (tmp_path / "short.csv").write_text("0,0,0\n")
     for path, words in {
@@ -71,4 +71,4 @@ def test_a_bad_path_is_refused_when_the_configuration_is_built(tmp_path):
         str(tmp_path / "short.csv"): "has no header, its first line is numbers",
     }.items():
         with pytest.raises(ConfigError, match=rf"^pretension\.path: .*{words}"):
-            build(stage.Config, tree | {"pretension": as_mapping(PretensionConfig()) | {"path": path}})
+            build(stage.Config, tree | {"pretension": as_mapping(PretensionConfig()) | {"path": path}}).check()
