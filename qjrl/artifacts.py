@@ -112,7 +112,7 @@ def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[
         raise ArtifactError(f"{path}: is not a dataset of format {DATASET_FORMAT} (found {manifest['format']})")
     check_record(path, manifest, {"robot_hash": str, "shards": list}, "a dataset's manifest")
     for entry in manifest["shards"]:
-        check_record(path, entry, {"name": str, "first_row": int, "rows": int, "sha256": str}, "a manifest's shard")
+        check_record(path, entry, {"name": str, "rows": int, "sha256": str}, "a manifest's shard")
         if entry["name"] != Path(entry["name"]).name:
             raise ArtifactError(f"{path}: lists the shard {entry['name']!r}, expected a file beside it")
     if robot_hash is not None and manifest.get("robot_hash") != robot_hash:

@@ -14,7 +14,7 @@ from qjrl.robot.verbs import Robot, cable_strokes
 # Of a path's positions: rolling joints carry the tip a little further than the straight arm's length.
 REACH_MARGIN = 1.05
 # Of targets, in lengths of the arm: those somewhat out of reach have a nearest answer.
-FARTHEST_TARGET = 10.0
+FARTHEST_TARGET = 100.0
 # Of commands that are settled, in strokes of the cable: answers beyond the joints' limits may be asked for.
 LARGEST_COMMAND = 20.0
 # Of a file of cable lengths, in strokes of the cable.

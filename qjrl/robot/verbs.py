@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
 from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf, statics
 from qjrl.robot.quaternion_arm.description import QuaternionArm
@@ -35,19 +36,31 @@ def _verb(robot: Robot, name: str):
     return VERBS[robot.kind][name]
 
 
+def _one(value: Any, shape: tuple[int, ...], name: str) -> jax.Array:
+    """One sample as an array.
+
+    Raises:
+        ValueError: it has another shape: JAX's indexing would take some of it, or repeat the last.
+    """
+    array = jnp.asarray(value)
+    if array.shape != shape:
+        raise ValueError(f"{name}: got the shape {array.shape}, allowed: {shape}, one sample; jax.vmap maps over many")
+    return array
+
+
 def forward_kinematics(robot: Robot, configuration: jax.Array) -> jax.Array:
     """Nominal tip pose (9,) [m, -] of a configuration, bends (num_segments, 2) for this kind."""
-    return _verb(robot, "forward_kinematics")(robot, configuration)
+    return _verb(robot, "forward_kinematics")(robot, _one(configuration, (robot.num_segments, 2), "configuration"))
 
 
 def cable_lengths(robot: Robot, configuration: jax.Array) -> jax.Array:
     """Cable lengths (num_cables,) [m] relative to home, + pays out."""
-    return _verb(robot, "cable_lengths")(robot, configuration)
+    return _verb(robot, "cable_lengths")(robot, _one(configuration, (robot.num_segments, 2), "configuration"))
 
 
 def bends_from_cables(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Configuration whose cable lengths (num_cables,) [m] are given; closed form."""
-    return _verb(robot, "bends_from_cables")(robot, lengths)
+    return _verb(robot, "bends_from_cables")(robot, _one(lengths, (robot.num_cables,), "lengths"))
 
 
 def cable_strokes(robot: Robot) -> jax.Array:
@@ -57,22 +70,22 @@ def cable_strokes(robot: Robot) -> jax.Array:
 
 def strand_lengths(robot: Robot, configuration: jax.Array) -> jax.Array:
     """Strand lengths (num_strands,) [m] inside the joints they cross, common part included."""
-    return _verb(robot, "strand_lengths")(robot, configuration)
+    return _verb(robot, "strand_lengths")(robot, _one(configuration, (robot.num_segments, 2), "configuration"))
 
 
 def strand_commands(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Rest lengths (num_strands,) [m] that the motors give the strands: the controls of the MJCF."""
-    return _verb(robot, "strand_commands")(robot, lengths)
+    return _verb(robot, "strand_commands")(robot, _one(lengths, (robot.num_cables,), "lengths"))
 
 
 def equilibrium(robot: Robot, lengths: jax.Array) -> Equilibrium:
     """Where a robot as described rests when it holds cable lengths (num_cables,) [m], and what would move it from there."""
-    return _verb(robot, "equilibrium")(robot, lengths)
+    return _verb(robot, "equilibrium")(robot, _one(lengths, (robot.num_cables,), "lengths"))
 
 
 def strand_tension(robot: Robot, lengths: jax.Array, steps: int = statics.STEPS) -> jax.Array:
     """Tension (num_strands,) [N] of a robot as described that rests at cable lengths (num_cables,) [m], without simulation."""
-    return _verb(robot, "strand_tension")(robot, lengths, steps)
+    return _verb(robot, "strand_tension")(robot, _one(lengths, (robot.num_cables,), "lengths"), steps)
 
 
 def is_at_strength(robot: Robot, tension: Any) -> Any:
@@ -82,7 +95,7 @@ def is_at_strength(robot: Robot, tension: Any) -> Any:
 
 def joint_positions(robot: Robot, configuration: jax.Array) -> jax.Array:
     """Joint positions (nq,) of the MJCF at a configuration, on the constraint manifold."""
-    return _verb(robot, "joint_positions")(robot, configuration)
+    return _verb(robot, "joint_positions")(robot, _one(configuration, (robot.num_segments, 2), "configuration"))
 
 
 def configuration_from_joint_positions(robot: Robot, positions: jax.Array) -> jax.Array:

@@ -6,7 +6,17 @@ import pytest
 from arms import SHIPPED, altered, arm_named, over_rows, random_bends
 
 from qjrl.config import ConfigError
-from qjrl.robot import cable_lengths, forward_kinematics, robot_from_mapping
+from qjrl.robot import (
+    bends_from_cables,
+    cable_lengths,
+    equilibrium,
+    forward_kinematics,
+    joint_positions,
+    robot_from_mapping,
+    strand_commands,
+    strand_lengths,
+    strand_tension,
+)
 from qjrl.robot.plausibility import check_cable_lengths, check_positions, straight_length
 from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation import settle
@@ -107,3 +117,18 @@ def test_a_strand_at_its_strength_counts_as_broken_in_double_and_single_precisio
     }  # fmt: skip
     (line,) = warnings_about(weak, {"strand_common_part": [0.0, 0.0]}, physics)
     assert "reaches 60 N, its strength" in line
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (3, 2), (4, 2), (2,), (2, 3), (5, 2, 2)])
+def test_bends_of_another_arm_are_refused_by_every_verb(shape):
+    """Indexing in JAX would take some of them, or the last one twice, and answer."""
+    for verb in (forward_kinematics, cable_lengths, strand_lengths, joint_positions):
+        with pytest.raises(ValueError, match=r"configuration: got the shape .*, allowed: \(2, 2\)"):
+            verb(ARM, jnp.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(3,), (8,), (2, 4), (1, 4)])
+def test_lengths_of_another_arm_are_refused_by_every_verb(shape):
+    for verb in (bends_from_cables, strand_commands, equilibrium, strand_tension):
+        with pytest.raises(ValueError, match=r"lengths: got the shape .*, allowed: \(4,\)"):
+            verb(ARM, jnp.zeros(shape))

@@ -60,7 +60,9 @@ def test_only_a_policy_that_starts_at_zero_is_called_its_base(trained, tmp_path,
     assert metrics["kept_env_steps"] == 0
     assert {"base", "untrained"} & metrics.keys() == {name} and metrics[name] == MEDIANS
     assert f"no trained checkpoint beats the {said} on the judged targets" in log
-    figure: Any = compare._policy_section(artifacts.load(tmp_path / "policy" / "progress.jsonl"), metrics).pictures[0].content
+    figure: Any = (
+        compare._policy_section(artifacts.load(tmp_path / "policy" / "progress.jsonl"), metrics).pictures[0].content
+    )
     shown = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert shown[-2:] == [f"{said}, uniform bends", f"{said}, near home"]
 

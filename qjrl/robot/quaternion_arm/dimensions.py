@@ -30,7 +30,7 @@ def check_dimensions(config: Any) -> None:
     joint, cables, strands = config.joint, config.cables, config.strands
     height = math.sqrt(joint.crossed_link_length**2 - joint.pin_distance**2) + 2.0 * joint.plate_to_pin
     length = sum(config.joints_per_segment) * (height + config.link_length)
-    _check_ratios(config, max(joint.crossed_link_length, cables.hole_circle_diameter))
+    _check_ratios(config, max(joint.crossed_link_length, cables.hole_circle_diameter, config.link_length))
     if length > _LONGEST_ARM:
         raise ValueError(
             f"link_length: got {config.link_length:g} with joints {height:g} m high, an arm {length:.4g} m long, allowed: up "
@@ -49,15 +49,14 @@ def check_dimensions(config: Any) -> None:
 
 
 def _check_ratios(config: Any, scale: float) -> None:
-    """Every length against the larger of the crossed links and the hole circle [m]."""
+    """Every length of a part against the largest of crossed links, hole circle and link [m]."""
     lengths = {
         "joint.plate_to_pin": config.joint.plate_to_pin,
-        "link_length": config.link_length,
         "mechanics.link_radius": config.mechanics.link_radius,
         "motors.pulley_radius": config.motors.pulley_radius,
     }
     for key, value in lengths.items():
-        _below(key, value, _LARGEST_RATIO * scale, "m, a hundred times the joints' own size", length_hint)
+        _below(key, value, _LARGEST_RATIO * scale, "m, a hundred times the joints and links", length_hint)
 
 
 def _check_masses(mechanics: Any, height: float) -> None:
