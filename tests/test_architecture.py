@@ -16,6 +16,7 @@ FLOORS = {
     "artifacts": 1,
     "cores": 1,
     "keys": 1,
+    "xla_options": 1,
     "progress": 1,
     "robot": 2,
     "simulation": 3,
@@ -30,7 +31,7 @@ FLOORS = {
 # Beside the floors of the design: the record of where a result comes from, how a stage is run, the table over the runs
 # of a sweep.
 FLOORS |= {"provenance": 1.5, "stage": 5, "sweep": 6}
-GROUND = {"config", "artifacts", "keys", "progress"}
+GROUND = {"config", "artifacts", "keys", "progress", "xla_options"}
 """The files of floor 1 that the folders of floor 1 may use too."""
 
 

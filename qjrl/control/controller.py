@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from qjrl.control import arm_estimate, motors, tip_correction
 from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
@@ -39,8 +40,7 @@ def prepare(
 
     A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
     """
-    believed = arm_estimate.prior(config.estimate, robot, base_lengths)
-    state = start(robot, begin(config, robot, target, base_lengths, believed), reading)
+    state = start(robot, begin(config, robot, task_of(config, robot, target, base_lengths)), reading)
     return dataclasses.replace(state, step=state.step - 1)
 
 
@@ -61,22 +61,39 @@ def tick(
     return plan(config, robot, state, action)
 
 
-def begin(
-    config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array, believed: arm_estimate.Prior
-) -> ControlState:
-    """A new target (9,), the base controller's answer to it (num_cables,) [m], its `prior`; the arm is at home."""
-    zeros = jnp.zeros((robot.num_cables,), base_lengths.dtype)
+@struct.dataclass
+class Task:
+    """A target, the base controller's answer to it, and what follows from them alone."""
+
+    target: jax.Array
+    """(9,) pose [m, -]."""
+    base_lengths: jax.Array
+    """(num_cables,) [m]."""
+    correction: jax.Array
+    """(num_cables, 6), see `tip_correction.correction_matrix`."""
+    prior: arm_estimate.Prior
+
+
+def task_of(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> Task:
+    """The task of a target (9,) and the base controller's answer to it (num_cables,) [m]."""
+    correction = tip_correction.correction_matrix(robot, base_lengths)
+    return Task(target, base_lengths, correction, arm_estimate.prior(config.estimate, robot, base_lengths))
+
+
+def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
+    """The state at the begin of a task; the arm is at home."""
+    zeros = jnp.zeros((robot.num_cables,), task.base_lengths.dtype)
     residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
-    readings = jnp.zeros((robot.num_segments, 2), base_lengths.dtype)
+    readings = jnp.zeros((robot.num_segments, 2), zeros.dtype)
     return ControlState(
-        target=target,
-        base_lengths=base_lengths,
+        target=task.target,
+        base_lengths=task.base_lengths,
         command=zeros,
         trend=zeros,
         swing=jnp.asarray(config.dither.amplitude, zeros.dtype),  # friction holds an arm that hardly moves, too
-        correction=tip_correction.correction_matrix(robot, base_lengths),
-        expected=believed.expected,
-        covariance=believed.covariance,
+        correction=task.correction,
+        expected=task.prior.expected,
+        covariance=task.prior.covariance,
         integral=zeros,
         residual=residual,
         actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),

@@ -8,6 +8,7 @@ from qjrl.control.sensors import rotation_vectors
 from qjrl.control.tip_correction import sensed_pose, weighted_difference
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import PlantState
 
 # Actions the actor remembers (paper 000, section 4).
 ACTION_HISTORY = 4
@@ -45,17 +46,6 @@ class ControlState:
     """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
     step: jax.Array
     """Control steps since the start."""
-
-
-@struct.dataclass
-class TrueState:
-    """What only the simulation knows of one arm."""
-
-    joint_positions: jax.Array
-    strand_lengths: jax.Array
-    strand_velocities: jax.Array
-    strand_tension: jax.Array
-    pose: jax.Array
 
 
 def actor_observation(
@@ -112,12 +102,13 @@ def held_rotation_vectors(robot: Robot, command: jax.Array) -> jax.Array:
 def critic_observation(
     actor: jax.Array,
     target: jax.Array,
-    truth: TrueState,
+    plant: PlantState,
     errors: jax.Array,
     initial_errors: jax.Array,
-    advice: jax.Array,
+    expert_action: jax.Array,
 ) -> jax.Array:
-    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; the advice.
+    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; and the
+    expert's action.
 
     Joint velocities are left out, as in the paper: they jitter in MJX.
 
@@ -127,13 +118,13 @@ def critic_observation(
     """
     parts = (
         actor,
-        truth.strand_lengths,
-        truth.strand_velocities,
-        truth.joint_positions,
-        truth.pose,
-        truth.pose - target,
+        plant.strand_lengths,
+        plant.strand_velocities,
+        plant.joint_positions,
+        plant.pose,
+        plant.pose - target,
         errors,
         initial_errors,
-        advice,
+        expert_action,
     )
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)

@@ -22,7 +22,6 @@ from qjrl.deployment.functions import (
     Precision,
     SolveFunction,
     forward_function,
-    in_precision,
     inverse_function,
 )
 from qjrl.deployment.latency import measure_latency
@@ -35,6 +34,7 @@ from qjrl.deployment.parity import (
     make_reference,
 )
 from qjrl.keys import seed_for
+from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.model_fitting import pose_errors, split_rows
 from qjrl.robot.verbs import Robot

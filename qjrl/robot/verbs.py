@@ -1,6 +1,7 @@
 """The verbs every kind of robot may offer, dispatched on `robot.kind`."""
 
 import jax
+import jax.numpy as jnp
 
 from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf, statics
 from qjrl.robot.quaternion_arm.description import QuaternionArm
@@ -85,3 +86,8 @@ def configuration_from_joint_positions(robot: Robot, positions: jax.Array) -> ja
 def build_mjcf(robot: Robot, options: SolverOptions = SolverOptions()) -> str:
     """MuJoCo XML of a robot."""
     return _verb(robot, "build_mjcf")(robot, options)
+
+
+def in_precision(robot: Robot, precision: str) -> Robot:
+    """The robot with all its numbers in a precision, "float32" or "float64": what is computed from them stays in it."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), robot)

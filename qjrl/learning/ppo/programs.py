@@ -1,0 +1,84 @@
+"""The compiled programs of a training; trainings of the same plan share them."""
+
+import dataclasses
+import functools
+import time
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from qjrl.learning.ppo import iteration
+from qjrl.learning.ppo.environment import Env
+from qjrl.learning.ppo.evidence import evidence_of
+from qjrl.learning.ppo.iteration import Plan
+from qjrl.learning.ppo.mesh import ENVS
+from qjrl.learning.ppo.trainer_state import TrainerState
+from qjrl.xla_options import jit_of_chains
+
+Replay = Callable[[], dict[str, np.ndarray]]
+"""What the envs were doing that diverged in an iteration."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Iterated:
+    """What an iteration leaves."""
+
+    trainer: TrainerState
+    metrics: dict[str, jax.Array]
+    replay: Replay
+    collecting_seconds: float | None
+    """None where collecting and learning are one program."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Programs:
+    """All functions of `iteration`, compiled."""
+
+    begin: Callable[..., TrainerState]
+    """(env, seed) -> the untrained state."""
+    collect: Callable[..., Any]
+    learn: Callable[..., Any]
+    iterate: Callable[..., Any]
+    """Both at once."""
+    imitate: Callable[..., Any]
+    """(env, policy, trainer, key, round) -> a piece of a round of DAgger."""
+    are_apart: bool
+    """Whether collecting and learning are two programs."""
+
+    def run_iteration(self, env: Env, trainer: TrainerState) -> Iterated:
+        """One iteration of PPO; the devices may still be at it."""
+
+        def replay() -> dict[str, np.ndarray]:
+            with jax.debug_key_reuse(False):  # on purpose: the same once more
+                _, (rollout, _) = self.collect(env, trainer)
+                return evidence_of(env, trainer.envs, np.tanh(np.asarray(rollout.raw_action)))
+
+        if not self.are_apart:
+            return Iterated(*self.iterate(env, trainer), replay, None)
+        start = time.perf_counter()
+        collected = jax.block_until_ready(self.collect(env, trainer))
+        collecting = time.perf_counter() - start
+        return Iterated(*self.learn(*collected), replay, collecting)
+
+
+@functools.lru_cache(maxsize=8)
+def make_programs(plan: Plan) -> Programs:
+    """Compilation itself happens at the first call of each."""
+    everywhere, by_env = NamedSharding(plan.mesh, P()), NamedSharding(plan.mesh, P(ENVS))
+    trainer: Any = TrainerState(*[everywhere] * 5, by_env, by_env)  # pyright: ignore[reportArgumentType]
+
+    def of(function: Callable[..., Any]) -> Callable[..., Any]:
+        return functools.partial(function, plan)
+
+    return Programs(
+        begin=jit_of_chains(of(iteration.begin), out_shardings=trainer),
+        collect=jit_of_chains(of(iteration.collecting), out_shardings=(trainer, None)),
+        learn=jax.jit(of(iteration.learning), out_shardings=(trainer, everywhere)),
+        iterate=jit_of_chains(of(iteration.iterate), out_shardings=(trainer, everywhere)),
+        imitate=jit_of_chains(of(iteration.imitating), out_shardings=(trainer, None, everywhere)),
+        are_apart=jax.default_backend() == "cpu",
+    )
