@@ -18,10 +18,6 @@ import optax
 
 from qjrl.config import Range
 from qjrl.learning.ppo.policy import Policy, deterministic_action
-from qjrl.learning.ppo.rollout import Act, Action
-
-# Steps for which a random action is held.
-HELD = 25
 
 
 @dataclasses.dataclass(frozen=True)
@@ -31,8 +27,8 @@ class DaggerConfig:
     rounds: Annotated[int, Range(0, 1000)] = 0
     """Each is an iteration of the training; 0: PPO starts from the untrained actor."""
     steps: Annotated[int, Range(1, 1_000_000)] = 1000
-    """Steps of every env in a round, rounded up to a multiple of the 25 for which a random action is held."""
-    every: Annotated[int, Range(1, HELD)] = 5
+    """Steps of every env in a round, rounded up to whole rollouts; a random action is held for one of them."""
+    every: Annotated[int, Range(1, 1000)] = 5
     """Interval between stored steps; neighbours hardly differ."""
     exploration: Annotated[float, Range(0, 1)] = 0.1
     """Standard deviation of the random actions of the first round; a tenth of it in the later ones."""
@@ -45,23 +41,6 @@ class DaggerConfig:
     share: Annotated[float, Range(above=0, high=1)] = 1.0
     """Of the fitted action that the actor is left with after the last round: a fit on few episodes says too much, most of all
     about what it has not seen."""
-
-    @property
-    def num_pieces(self) -> int:
-        """Rollouts of `HELD` steps in a round."""
-        return -(-self.steps // HELD)
-
-
-def exploring_around(policy: Policy, noise: jax.Array) -> Act:
-    """The deterministic policy with `noise` (envs, action size) added, at every step the same."""
-
-    def act(observation: Any, nothing: Any) -> Action:
-        del nothing
-        action = jnp.clip(deterministic_action(policy, observation) + noise, -1.0, 1.0)
-        zeros = jnp.zeros(len(action), jnp.float32)
-        return Action(action, action, jnp.concatenate([action, action], axis=1), zeros)
-
-    return act
 
 
 def deviation(config: DaggerConfig, number: int) -> float:

@@ -6,7 +6,6 @@ off (see `xla_options`), the update wants it on. On other devices they are one, 
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -16,14 +15,12 @@ from jax.sharding import PartitionSpec as P
 
 from qjrl.keys import key_for
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.dagger import HELD, deviation, exploring_around
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Env, observation_sizes
 from qjrl.learning.ppo.episodes import EpisodeLog, empty_log
 from qjrl.learning.ppo.mesh import ENVS
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
-from qjrl.learning.ppo.normaliser import initial_normaliser, update_normaliser
-from qjrl.learning.ppo.policy import Policy
-from qjrl.learning.ppo.rollout import Act, Collected, Rollout, Value, collect, exploring
+from qjrl.learning.ppo.normaliser import Normaliser, initial_normaliser, update_normaliser
+from qjrl.learning.ppo.rollout import Collected, Rollout, acting, collect
 from qjrl.learning.ppo.trainer_state import TrainerState
 from qjrl.learning.ppo.update import make_learner, make_update
 
@@ -79,19 +76,31 @@ def begin(plan: Plan, env: Env, seed: int) -> TrainerState:
     )
 
 
-def collecting(plan: Plan, env: Env, trainer: TrainerState) -> tuple[TrainerState, Experience]:
-    """The state with its envs further on, and a rollout of the exploring policy."""
+def collecting(plan: Plan, env: Env, trainer: TrainerState, around: jax.Array) -> tuple[TrainerState, Experience]:
+    """The state with its envs further on, and a rollout of the actor.
+
+    Args:
+        around: below 0, the actor explores as PPO does. Otherwise it acts deterministically, and one draw of normal noise
+            of this standard deviation is added at all steps, as DAgger does.
+    """
     key_actions, key = jax.random.split(trainer.key)
     shape = (plan.config.unroll_length, plan.num_envs, plan.action_size)
     noise = jax.random.normal(key_actions, shape, jnp.float32)
-    networks, parameters = plan.networks, trainer.learner.parameters
+    noise = jnp.where(around < 0.0, noise, around * noise[:1])
 
-    def actor(learnt: Any) -> tuple[Act, Value]:
-        parameters, normaliser = learnt
-        value = functools.partial(networks.value_network.apply, normaliser, parameters["value"])
-        return exploring(networks, parameters["policy"], normaliser), lambda rows: value({CRITIC_KEY: rows})
+    def local(env: Env, learnt: Any, state: Any, episodes: EpisodeLog, noise: jax.Array) -> Collected:
+        parameters, normaliser, around = learnt
+        act = acting(plan.networks, parameters["policy"], normaliser, around >= 0.0)
+        critic = functools.partial(plan.networks.value_network.apply, normaliser, parameters["value"])
+        return collect(env, act, lambda rows: critic({CRITIC_KEY: rows}), state, episodes, noise)
 
-    collected = _on_mesh(plan, env, actor, (parameters, trainer.normaliser), trainer, noise)
+    rows, steps = P(ENVS), P(None, ENVS)
+    outputs = Collected(rollout=steps, state=rows, last_observation=rows, episodes=rows)  # pyright: ignore[reportArgumentType]
+    on_each_device = jax.shard_map(
+        local, mesh=plan.mesh, in_specs=(P(), P(), rows, rows, steps), out_specs=outputs, check_vma=False
+    )
+    learnt = trainer.learner.parameters, trainer.normaliser, around
+    collected = on_each_device(env, learnt, trainer.envs, trainer.episodes, noise)
     trainer = dataclasses.replace(trainer, key=key, envs=collected.state, episodes=collected.episodes)
     return trainer, (collected.rollout, collected.last_observation)
 
@@ -136,52 +145,19 @@ def learning(plan: Plan, trainer: TrainerState, experience: Experience) -> tuple
 
 
 def iterate(plan: Plan, env: Env, trainer: TrainerState) -> tuple[TrainerState, Metrics]:
-    """A whole iteration: what an accelerator runs."""
-    return learning(plan, *collecting(plan, env, trainer))
+    """A whole iteration of PPO: what an accelerator runs."""
+    return learning(plan, *collecting(plan, env, trainer, jnp.float32(EXPLORES)))
 
 
-def imitating(plan: Plan, env: Env, policy: Policy, trainer: TrainerState, key: jax.Array, number: jax.Array):
-    """A piece of a round of DAgger: acts for `HELD` steps around `policy` with one draw of noise.
-
-    Returns:
-        The trainer's state with the envs further on and the stored steps in its statistics; the stored steps' rollout; counts.
-    """
-    spread = jnp.where(number == 0, deviation(plan.config.dagger, 0), deviation(plan.config.dagger, 1))
-    noise = spread * jax.random.normal(key, (1, plan.num_envs, plan.action_size), jnp.float32)
-
-    def actor(learnt: Any) -> tuple[Act, Value]:
-        policy, noise = learnt
-        return exploring_around(policy, noise[0]), lambda rows: jnp.zeros(len(rows), jnp.float32)
-
-    nothing = jnp.zeros((HELD, plan.num_envs, 0), jnp.float32)
-    collected = _on_mesh(plan, env, actor, (policy, noise), trainer, nothing, (P(), P(None, ENVS)))
-    stored = jax.tree.map(lambda rows: rows[:: plan.config.dagger.every], collected.rollout)
+def storing(plan: Plan, normaliser: Normaliser, rollout: Rollout) -> tuple[Normaliser, Rollout, Metrics]:
+    """Of a rollout of DAgger: the statistics with the stored steps in them, these steps, and what diverged in all."""
+    stored = jax.tree.map(lambda rows: rows[:: plan.config.dagger.every], rollout)
     seen = {name: stored.observation[name] for name in (ACTOR_KEY, CRITIC_KEY)}
-    trainer = dataclasses.replace(
-        trainer,
-        normaliser=update_normaliser(trainer.normaliser, seen, stored.valid),
-        env_steps=trainer.env_steps + jnp.uint32(collected.rollout.reward.size),
-        envs=collected.state,
-        episodes=collected.episodes.cleared(),
-    )
-    return trainer, stored, _counts(collected.rollout)
+    return update_normaliser(normaliser, seen, stored.valid), stored, _counts(rollout)
 
 
-def _on_mesh(
-    plan: Plan, env: Env, actor: Callable[[Any], tuple[Act, Value]], learnt: Any, trainer: TrainerState, inputs: Any,
-    specs: Any = P(),
-) -> Collected:  # fmt: skip
-    """`collect` on every device with its own envs: they know nothing of each other."""
-
-    def local(env: Env, learnt: Any, state: Any, episodes: EpisodeLog, inputs: Any) -> Collected:
-        act, value = actor(learnt)
-        return collect(env, act, value, state, episodes, inputs)
-
-    rows, steps = P(ENVS), P(None, ENVS)
-    outputs = Collected(rollout=steps, state=rows, last_observation=rows, episodes=rows)  # pyright: ignore[reportArgumentType]
-    return jax.shard_map(
-        local, mesh=plan.mesh, in_specs=(P(), specs, rows, rows, steps), out_specs=outputs, check_vma=False
-    )(env, learnt, trainer.envs, trainer.episodes, inputs)
+EXPLORES = -1.0
+"""What `collecting` takes as `around` for PPO."""
 
 
 def _counts(rollout: Rollout) -> Metrics:

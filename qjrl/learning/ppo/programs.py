@@ -15,7 +15,7 @@ from qjrl.learning.ppo import iteration
 from qjrl.learning.ppo.environment import Env
 from qjrl.learning.ppo.evidence import evidence_of
 from qjrl.learning.ppo.iteration import Plan
-from qjrl.learning.ppo.mesh import ENVS
+from qjrl.learning.ppo.mesh import ENVS, on_host
 from qjrl.learning.ppo.trainer_state import TrainerState
 from qjrl.xla_options import jit_of_chains
 
@@ -44,8 +44,8 @@ class Programs:
     learn: Callable[..., Any]
     iterate: Callable[..., Any]
     """Both at once."""
-    imitate: Callable[..., Any]
-    """(env, policy, trainer, key, round) -> a piece of a round of DAgger."""
+    store: Callable[..., Any]
+    """Of DAgger, see `iteration.storing`."""
     are_apart: bool
     """Whether collecting and learning are two programs."""
 
@@ -53,16 +53,20 @@ class Programs:
         """One iteration of PPO; the devices may still be at it."""
 
         def replay() -> dict[str, np.ndarray]:
-            with jax.debug_key_reuse(False):  # on purpose: the same once more
-                _, (rollout, _) = self.collect(env, trainer)
-                return evidence_of(env, trainer.envs, np.tanh(np.asarray(rollout.raw_action)))
+            return self.replay(env, trainer, iteration.EXPLORES)
 
         if not self.are_apart:
             return Iterated(*self.iterate(env, trainer), replay, None)
         start = time.perf_counter()
-        collected = jax.block_until_ready(self.collect(env, trainer))
+        collected = jax.block_until_ready(self.collect(env, trainer, np.float32(iteration.EXPLORES)))
         collecting = time.perf_counter() - start
         return Iterated(*self.learn(*collected), replay, collecting)
+
+    def replay(self, env: Env, trainer: TrainerState, around: float) -> dict[str, np.ndarray]:
+        """What the envs were doing that diverged in the rollout that began at `trainer`; in every process, of its own envs."""
+        with jax.debug_key_reuse(False):  # on purpose: the same once more
+            _, (rollout, _) = self.collect(env, trainer, np.float32(around))
+            return evidence_of(env, trainer.envs, on_host(rollout.action))
 
 
 @functools.lru_cache(maxsize=8)
@@ -79,6 +83,6 @@ def make_programs(plan: Plan) -> Programs:
         collect=jit_of_chains(of(iteration.collecting), out_shardings=(trainer, None)),
         learn=jax.jit(of(iteration.learning), out_shardings=(trainer, everywhere)),
         iterate=jit_of_chains(of(iteration.iterate), out_shardings=(trainer, everywhere)),
-        imitate=jit_of_chains(of(iteration.imitating), out_shardings=(trainer, None, everywhere)),
+        store=jax.jit(of(iteration.storing), out_shardings=(everywhere, None, everywhere)),
         are_apart=jax.default_backend() == "cpu",
     )

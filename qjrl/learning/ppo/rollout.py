@@ -18,7 +18,7 @@ class Action:
     """What the policy decided, (envs, ...) float32."""
 
     action: Any
-    """In [-1, 1]."""
+    """What the env is given, in [-1, 1]."""
     raw_action: Any
     """Before the tanh."""
     logits: Any
@@ -31,6 +31,7 @@ class Rollout:
     """A block of experience, (steps, envs, ...). Rows that are not `valid` are finite too, and count nowhere."""
 
     observation: Any
+    action: Any
     raw_action: Any
     logits: Any
     log_probability: Any
@@ -80,6 +81,7 @@ def collect(env: Env, act: Act, value: Value, state: State, episodes: EpisodeLog
         zeros = jnp.zeros_like(following.reward)
         outcome = Rollout(
             observation=observation,
+            action=action.action,
             raw_action=action.raw_action,
             logits=action.logits,
             log_probability=action.log_probability,
@@ -96,16 +98,21 @@ def collect(env: Env, act: Act, value: Value, state: State, episodes: EpisodeLog
     return Collected(rollout, state, last[CRITIC_KEY], episodes)
 
 
-def exploring(networks: PPONetworks, parameters: Any, normaliser: Any) -> Act:
-    """The exploring policy; a step's input is standard normal noise (envs, action size)."""
+def acting(networks: PPONetworks, parameters: Any, normaliser: Any, is_deterministic: jax.Array) -> Act:
+    """The policy; a step's input is noise (envs, action size).
+
+    PPO's exploration is standard normal noise before the tanh. Where the policy is deterministic the noise is added to its
+    action: DAgger's.
+    """
     distribution: Any = networks.parametric_action_distribution
 
     def act(observation: Any, noise: Any) -> Action:
         logits = networks.policy_network.apply(normaliser, parameters, {ACTOR_KEY: observation})
         normal = distribution.create_dist(logits)
         raw_action = normal.loc + normal.scale * noise
-        log_probability = distribution.log_prob(logits, raw_action)
-        return Action(distribution.postprocess(raw_action), raw_action, logits, log_probability)
+        around = jnp.clip(distribution.postprocess(normal.loc) + noise, -1.0, 1.0)
+        action = jnp.where(is_deterministic, around, distribution.postprocess(raw_action))
+        return Action(action, raw_action, logits, distribution.log_prob(logits, raw_action))
 
     return act
 

@@ -2,9 +2,8 @@
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +11,11 @@ import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.config import as_mapping
-from qjrl.keys import key_for
 from qjrl.learning.ppo import mesh as meshes
 from qjrl.learning.ppo.checkpointer import Checkpointer, Evaluate, open_checkpointer
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.dagger import HELD, fit_round
+from qjrl.learning.ppo.dagger import deviation, fit_round
 from qjrl.learning.ppo.environment import ACTOR_KEY, EXPERT_KEY, Env, observation_sizes
-from qjrl.learning.ppo.evidence import evidence_of
 from qjrl.learning.ppo.iteration import Plan, make_plan
 from qjrl.learning.ppo.policy import Policy, moderated
 from qjrl.learning.ppo.programs import Programs, make_programs
@@ -55,20 +52,27 @@ def train(
         TrainingDiverged: too many invalid steps, or a loss that is not finite.
         ArtifactError: the directory holds another training.
     """
-    sizes, mesh = _sizes(config, env, num_envs), meshes.device_mesh()
+    sizes, mesh, is_double = _sizes(config, env, num_envs), meshes.device_mesh(), jax.config.jax_enable_x64
+
+    def evaluated(policy: Policy) -> Mapping[str, float | None]:
+        with jax.enable_x64(is_double):  # as the caller computes
+            return evaluate(policy) if evaluate else {}
+
     identity = artifacts.hash_of([as_mapping(config), [num_envs, env.action_size, observation_sizes(env)], seed])
     with jax.enable_x64(False):
         plan = make_plan(env, config, num_envs, len(sizes), mesh)
         env = meshes.everywhere(mesh, env)
         programs = make_programs(plan)
         trainer = programs.begin(env, np.uint32(seed))
-        with open_checkpointer(directory, identity, config, mesh, evaluate, minimise, list(callbacks)) as checkpointer:
+        with open_checkpointer(
+            directory, identity, config, mesh, evaluated if evaluate else None, minimise, list(callbacks)
+        ) as checkpointer:
             trainer, is_new = checkpointer.begin(trainer)
             if is_new:
                 checkpointer.keep(trainer, {"iteration": 0, "env_steps": 0})
             already = int(trainer.env_steps)
             with progress.track(sum(sizes), "policy", already=already) as advance, checkpointer.evidence():
-                trainer = _run(plan, programs, env, trainer, sizes, seed, checkpointer, advance)
+                trainer = _run(plan, programs, env, trainer, sizes, checkpointer, advance)
             return checkpointer.policy(trainer)
 
 
@@ -78,15 +82,14 @@ def _run(
     env: Env,
     trainer: TrainerState,
     sizes: list[int],
-    seed: int,
     checkpointer: Checkpointer,
-    advance: Any,
+    advance: Callable[..., None],
 ) -> TrainerState:
     config = plan.config
     for iteration in range(int(trainer.iteration) + 1, len(sizes) + 1):
         is_dagger = iteration <= config.dagger.rounds
         if is_dagger:
-            trainer, record = run_dagger(plan, programs, env, trainer, seed, advance)
+            trainer, record = run_dagger(plan, programs, env, trainer, advance)
         else:
             trainer, record = run_iteration(plan, programs, env, trainer)
         due = is_dagger or iteration % config.checkpoint_every == 0 or iteration == len(sizes)
@@ -117,7 +120,7 @@ def run_iteration(plan: Plan, programs: Programs, env: Env, trainer: TrainerStat
 
 
 def run_dagger(
-    plan: Plan, programs: Programs, env: Env, trainer: TrainerState, seed: int, advance: Any
+    plan: Plan, programs: Programs, env: Env, trainer: TrainerState, advance: Callable[..., None]
 ) -> tuple[TrainerState, Record]:
     """One round of DAgger as an iteration, before those of PPO.
 
@@ -129,32 +132,41 @@ def run_dagger(
         TrainingDiverged: too many invalid steps.
     """
     start, config, number = time.perf_counter(), plan.config.dagger, int(trainer.iteration)
-    key = jax.random.fold_in(key_for(seed, "dagger"), number)
-    key_fit, *keys = jax.random.split(key, config.num_pieces + 1)
-    policy, rows, num_valid, replay = policy_of(trainer, plan.config), [], 0, None
-    on_devices = meshes.everywhere(plan.mesh, policy)
-    for piece in keys:
+    around, pieces = deviation(config, number), _num_rollouts(plan.config)
+    policy, statistics, rows, num_valid, worst = policy_of(trainer, plan.config), trainer.normaliser, [], 0, None
+    for _ in range(pieces):
         before = trainer
-        trainer, stored, counts = programs.imitate(env, on_devices, before, piece, np.int32(number))
-        sound = np.asarray(meshes.on_host(stored.valid))
-        seen, expert = (meshes.on_host(stored.observation[name]) for name in (ACTOR_KEY, EXPERT_KEY))
+        trainer, (rollout, _) = programs.collect(env, before, np.float32(around))
+        statistics, stored, counts = programs.store(statistics, rollout)
+        sound, seen, expert = meshes.on_host(
+            (stored.valid, stored.observation[ACTOR_KEY], stored.observation[EXPERT_KEY])
+        )
         rows.append((seen[sound], expert[sound]))
         num_valid += int(meshes.on_host(counts["num_valid"]))
-        if replay is None and not sound.all():
-            replay = before.envs, meshes.on_host(stored.raw_action)
-        advance(HELD * plan.num_envs)
-    num_steps = config.num_pieces * HELD * plan.num_envs
+        worst = before if worst is None and not sound.all() else worst
+        advance(sound.shape[1] * plan.config.unroll_length)
+    num_steps = pieces * plan.config.unroll_length * plan.num_envs
     record = validity_of(num_valid, num_steps)
-    check_validity(record, number + 1, plan.config, lambda: evidence_of(env, *replay) if replay else {})
-    statistics = meshes.on_host((trainer.normaliser.mean[ACTOR_KEY], trainer.normaliser.std[ACTOR_KEY]))
-    policy = dataclasses.replace(policy, mean=statistics[0], std=statistics[1])
+    replay = lambda: programs.replay(env, worst, around) if worst is not None else {}  # noqa: E731
+    check_validity(record, number + 1, plan.config, replay)
+    mean, std = meshes.on_host((statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]))
+    policy = dataclasses.replace(policy, mean=mean, std=std)
+    key_fit, key = jax.random.split(trainer.key)
     columns = tuple(np.concatenate(column) for column in zip(*rows, strict=True))
     policy, loss = fit_round(policy, config, number, columns, key_fit)
     if number == config.rounds - 1:
         policy = moderated(policy, config.share)
     layers = meshes.everywhere(plan.mesh, {"params": dict(policy.layers)})
     learner = dataclasses.replace(trainer.learner, parameters=trainer.learner.parameters | {"policy": layers})
-    trainer = dataclasses.replace(trainer, learner=learner, iteration=trainer.iteration + jnp.int32(1))
+    trainer = dataclasses.replace(
+        trainer,
+        learner=learner,
+        normaliser=statistics,
+        key=key,
+        iteration=trainer.iteration + jnp.int32(1),
+        env_steps=trainer.env_steps + jnp.uint32(num_steps),
+        episodes=trainer.episodes.cleared(),
+    )
     seconds = time.perf_counter() - start
     times = {"dagger_seconds": round(seconds, 2), "dagger_steps_per_second": round(num_steps / seconds, 1)}
     counts = {"iteration": number + 1, "env_steps": int(trainer.env_steps)}
@@ -171,5 +183,10 @@ def _sizes(config: PPOConfig, env: Env, num_envs: int) -> list[int]:
     if per_iteration < config.num_minibatches:
         steps = f"unroll_length {config.unroll_length} x {num_envs} envs"
         raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
-    rounds = [config.dagger.num_pieces * HELD * num_envs] * config.dagger.rounds
+    rounds = [_num_rollouts(config) * per_iteration] * config.dagger.rounds
     return rounds + [per_iteration] * -(-config.num_steps // per_iteration)
+
+
+def _num_rollouts(config: PPOConfig) -> int:
+    """Rollouts in a round of DAgger."""
+    return -(-config.dagger.steps // config.unroll_length)
