@@ -16,7 +16,7 @@ from flax import struct
 
 from qjrl.config import Range
 from qjrl.control import controller, motors, termination, tip_correction
-from qjrl.control.arm_estimate import EstimateConfig
+from qjrl.control.arm_estimate import EstimateConfig, priors
 from qjrl.control.controller import ControllerConfig, Task
 from qjrl.control.faults import Faults, draw_faults, transmit
 from qjrl.control.observations import ControlState, critic_observation
@@ -85,8 +85,15 @@ class Bank:
 
 def tasks_of(config: EnvironmentConfig, robot: Robot, bank: Bank) -> Task:
     """The tasks of a bank, a row each: all that a reset needs and that follows from a row alone."""
-    task = partial(controller.task_of, config.controller, robot)
-    return jax.jit(jax.vmap(task))(bank.target, bank.base_lengths)
+    believed = priors(
+        dataclasses.replace(config.estimate, acts=True), robot, bank.base_lengths
+    )  # the same whether it acts
+    return Task(bank.target, bank.base_lengths, _corrections(robot, bank.base_lengths), believed)
+
+
+@jax.jit
+def _corrections(robot: Robot, base_lengths: jax.Array) -> jax.Array:
+    return jax.vmap(partial(tip_correction.correction_matrix, robot))(base_lengths)
 
 
 @struct.dataclass

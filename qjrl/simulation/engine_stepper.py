@@ -12,7 +12,7 @@ from jax.sharding import PartitionSpec as P
 from qjrl.progress import compiling
 from qjrl.simulation.engine import Engine
 from qjrl.simulation.stepping import PhysicalParameters, PlantState
-from qjrl.simulation.xla_options import jit_of_chains
+from qjrl.xla_options import jit_of_chains
 
 
 class EngineStepper:
@@ -51,6 +51,10 @@ class EngineStepper:
             commands = self._placed(np.broadcast_to(strand_commands, (self.num_sims, np.shape(strand_commands)[-1])))
             self._state = _advance(self._engine, self._state, commands, np.int32(num_steps))
         self._seen = None
+
+    def wait(self) -> None:
+        """Returns when all steps are made."""
+        jax.block_until_ready(self._state)
 
     def read(self) -> PlantState:
         """The state of all simulations now, float64 as from C MuJoCo."""

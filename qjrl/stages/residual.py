@@ -24,7 +24,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.control_period import substeps_of
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 
 log = logging.getLogger(__name__)
 
@@ -32,20 +32,20 @@ log = logging.getLogger(__name__)
 @dataclasses.dataclass(frozen=True)
 class Config:
     robot: dict
-    simulation: SettleConfig
+    engine: EngineConfig
     policy: PolicyConfig
     residual: ResidualStudyConfig
     seed: int
 
     def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
+        substeps_of(self.policy.environment.control_period, self.engine.timestep)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `traces.npz`, `table.md`, the figures, and a directory for each ablation."""
     robot, settings = robot_from_mapping(config.robot), config.residual
     held_out, bank = (artifacts.load(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
-    subject = make_subject(robot, config.simulation, config.policy, held_out, settings.num_targets, config.seed)
+    subject = make_subject(robot, config.engine, config.policy, held_out, settings.num_targets, config.seed)
     traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
     artifacts.write_arrays(out / "traces.npz", traces | {"target_set": subject.targets["target_set"]})
     for index, name in enumerate(TARGET_SETS):

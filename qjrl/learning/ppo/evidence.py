@@ -1,11 +1,10 @@
 """What the envs were doing that diverged: the rollout played once more, step by step, from where it began."""
 
-from typing import Any
-
 import jax
 import numpy as np
 
 from qjrl.learning.ppo.environment import Env, State
+from qjrl.learning.ppo.mesh import on_host
 from qjrl.xla_options import jit_of_chains
 
 # Of the steps in which envs diverge the first ones show the cause; the others are only counted.
@@ -24,7 +23,7 @@ def evidence_of(env: Env, before: State, actions: np.ndarray) -> dict[str, np.nd
     state, found = before, []
     for number, action in enumerate(actions):
         following = _step(env, state, action)
-        ids = np.flatnonzero(~np.asarray(following.valid))
+        ids = np.flatnonzero(~on_host(following.valid))
         if len(ids) and len(found) < _MOST_STEPS:
             found.append(
                 _rows(state, ids) | {"env": ids, "rollout_step": np.full(len(ids), number), "action": action[ids]}
@@ -34,15 +33,11 @@ def evidence_of(env: Env, before: State, actions: np.ndarray) -> dict[str, np.nd
 
 
 def _rows(state: State, ids: np.ndarray) -> dict[str, np.ndarray]:
-    named: list[tuple[Any, Any]] = jax.tree_util.tree_leaves_with_path(
-        {"inner": state.inner, "seen": state.observation}
-    )
-    rows = {}
-    for path, leaf in named:
-        if jax.numpy.issubdtype(leaf.dtype, jax.dtypes.prng_key):
-            leaf = jax.random.key_data(leaf)
-        rows[jax.tree_util.keystr(path, simple=True, separator="/")] = np.asarray(leaf)[ids]
-    return rows
+    known = on_host({"inner": state.inner, "seen": dict(state.observation)})
+    return {
+        jax.tree_util.keystr(path, simple=True, separator="/"): leaf[ids]
+        for path, leaf in jax.tree_util.tree_leaves_with_path(known)
+    }
 
 
 @jit_of_chains

@@ -75,9 +75,10 @@ def collect(env: Env, act: Act, value: Value, state: State, episodes: EpisodeLog
         following = env.step(state, action.action)
         after, is_finite_after = finite_rows(following.observation)
         ended = following.terminated | following.truncated
-        valid = following.valid & jnp.isfinite(following.reward) & is_finite & (is_finite_after | ended)
         truncated = following.truncated & ~following.terminated
         final, is_finite_end = finite_rows({CRITIC_KEY: following.final_observation[CRITIC_KEY]})
+        valid = following.valid & jnp.isfinite(following.reward) & is_finite
+        valid &= (is_finite_after | ended) & (is_finite_end | ~truncated)
         zeros = jnp.zeros_like(following.reward)
         outcome = Rollout(
             observation=observation,
@@ -88,7 +89,7 @@ def collect(env: Env, act: Act, value: Value, state: State, episodes: EpisodeLog
             reward=jnp.where(valid, following.reward, 0.0),
             terminated=following.terminated,
             truncated=truncated,
-            valid=valid & (is_finite_end | ~truncated),
+            valid=valid,
             final_value=for_some_rows(truncated, value, final[CRITIC_KEY], zeros),
         )
         return (following, after, is_finite_after, episodes.after(following)), outcome

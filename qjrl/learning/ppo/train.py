@@ -142,8 +142,9 @@ def run_dagger(
             (stored.valid, stored.observation[ACTOR_KEY], stored.observation[EXPERT_KEY])
         )
         rows.append((seen[sound], expert[sound]))
-        num_valid += int(meshes.on_host(counts["num_valid"]))
-        worst = before if worst is None and not sound.all() else worst
+        sound_steps = int(meshes.on_host(counts["num_valid"]))
+        num_valid += sound_steps
+        worst = before if worst is None and sound_steps < plan.config.unroll_length * plan.num_envs else worst
         advance(sound.shape[1] * plan.config.unroll_length)
     num_steps = pieces * plan.config.unroll_length * plan.num_envs
     record = validity_of(num_valid, num_steps)
