@@ -40,7 +40,7 @@ def prepare(
 
     A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
     """
-    state = start(robot, begin(config, robot, task_of(config, robot, target, base_lengths)), reading)
+    state = start(config, robot, begin(config, robot, task_of(config, robot, target, base_lengths)), reading)
     return dataclasses.replace(state, step=state.step - 1)
 
 
@@ -70,13 +70,13 @@ class Task:
     base_lengths: jax.Array
     """(num_cables,) [m]."""
     correction: jax.Array
-    """(num_cables, 6), see `tip_correction.correction_matrix`."""
+    """(num_cables, 6), see `tip_correction.damped_pseudo_inverse`."""
     prior: arm_estimate.Prior
 
 
 def task_of(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> Task:
     """The task of a target (9,) and the base controller's answer to it (num_cables,) [m]."""
-    correction = tip_correction.correction_matrix(robot, base_lengths)
+    correction = tip_correction.damped_pseudo_inverse(robot, base_lengths)
     return Task(target, base_lengths, correction, arm_estimate.prior(config.estimate, robot, base_lengths))
 
 
@@ -99,51 +99,49 @@ def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
         actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
         reading=readings,
         memory=jnp.zeros((MEMORY_SIZE, *readings.shape), zeros.dtype),
+        estimated=readings,
+        tip_error=jnp.zeros((6,), zeros.dtype),
         step=jnp.zeros((), jnp.int32),
     )
 
 
-def start(robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
+def start(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
     """The first reading (segments, 2) [rad] fills the memory."""
     memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
-    return dataclasses.replace(state, reading=reading, memory=memory)
+    return _estimated(config, robot, dataclasses.replace(state, reading=reading, memory=memory))
 
 
 def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
     """What the policy sees."""
     offset = motors.residual_lengths(config.residual, state.residual, state.correction)
-    guess, ramp, since = estimated(config, robot, state), ramped_in(config, robot, state), waited(config, robot, state)
-    return actor_observation(robot, state, guess, lacking(config, robot, state, guess), offset, ramp, since)
+    return actor_observation(robot, state, offset, ramped_in(config, robot, state), waited(config, robot, state))
 
 
-def estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """Best guess (segments, 2) [rad] of how far from where a perfect arm would be this one rests."""
+def own_action(config: ControllerConfig, state: ControlState) -> jax.Array:
+    """What the controller does without a policy (action size,): what the tip lacks by the estimate, if that shall act."""
+    if not config.estimate.acts:
+        return jnp.zeros_like(state.residual)
+    return motors.action_of(config.residual, state.tip_error, state.correction).astype(state.residual.dtype)
+
+
+def _estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> ControlState:
+    """With the estimate of where this arm rests, and of its tip's error without residual and dither: nothing before it has
+    settled."""
     since = waited(config, robot, state)
     count = readings_at_the_end(since, config.control_period) if config.remembers else jnp.ones_like(since)
     believed = arm_estimate.Prior(state.expected, state.covariance)
-    return arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
-
-
-def lacking(config: ControllerConfig, robot: Robot, state: ControlState, guess: jax.Array) -> jax.Array:
-    """What the tip would lack (6,) [m] without residual and dither by such a guess; nothing before the arm has settled."""
+    guess = arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
     held = held_rotation_vectors(robot, state.base_lengths + state.integral)
-    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, held + guess), state.target)
-    has_settled = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= SETTLING)
-    return jnp.where(has_settled, difference, 0.0)
-
-
-def own_action(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """What the controller does without a policy (action size,): what the tip lacks by the guess, if that shall act."""
-    if not config.estimate.acts:
-        return jnp.zeros_like(state.residual)
-    missing = lacking(config, robot, state, estimated(config, robot, state))
-    return motors.action_of(config.residual, missing, state.correction).astype(state.residual.dtype)
+    error = tip_correction.tip_error(tip_correction.sensed_pose(robot, held + guess), state.target)
+    has_settled = (ramped_in(config, robot, state) >= 1.0) & (since >= SETTLING)
+    error = jnp.where(has_settled, error, 0.0).astype(state.tip_error.dtype)
+    return dataclasses.replace(state, estimated=guess.astype(state.estimated.dtype), tip_error=error)
 
 
 def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: jax.Array) -> ControlState:
     """The next motor command from an action (action size,): all that is added summed before the limits."""
     period = config.control_period
-    whole = own_action(config, robot, state) + action
+    whole = own_action(config, state) + action
     residual = motors.move_residual(config.residual, state.residual, whole, period)
     time = (state.step + 1) * period
     added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
@@ -159,7 +157,7 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
 
 
 def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
-    """A reading (segments, 2) [rad] one control period later: memory and integral.
+    """A reading (segments, 2) [rad] one control period later: memory, integral and estimate.
 
     Feedback acts once the base command is ramped in and the first swings of the dither are over.
     """
@@ -168,14 +166,15 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
     memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
     if not config.remembers:
         memory = jnp.broadcast_to(deviation, memory.shape)
-    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
+    difference = tip_correction.tip_error(tip_correction.sensed_pose(robot, state.reading), state.target)
     moved = tip_correction.integrate(
         config.integral, state.integral, state.correction, difference, config.control_period
     )
     begins = config.dither.decay if config.dither.amplitude > 0.0 else 0.0
     acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
     integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
-    return dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)
+    state = dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)
+    return _estimated(config, robot, state)
 
 
 def ramped_in(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:

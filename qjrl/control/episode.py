@@ -93,7 +93,7 @@ def tasks_of(config: EnvironmentConfig, robot: Robot, bank: Bank) -> Task:
 
 @jax.jit
 def _corrections(robot: Robot, base_lengths: jax.Array) -> jax.Array:
-    return jax.vmap(partial(tip_correction.correction_matrix, robot))(base_lengths)
+    return jax.vmap(partial(tip_correction.damped_pseudo_inverse, robot))(base_lengths)
 
 
 @struct.dataclass
@@ -160,7 +160,7 @@ def begin(
 def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant: PlantState):
     """First reading and first observation of an episode, from the physics at rest at home."""
     reading, key_next = _read(config, robot, state, plant)
-    control = controller.start(robot, state.control, reading)
+    control = controller.start(config.controller, robot, state.control, reading)
     errors = _errors(plant, control)
     state = dataclasses.replace(
         state, control=control, initial_errors=errors.astype(state.initial_errors.dtype), key=key_next
@@ -213,8 +213,8 @@ def _observation(
 def _needed(config: EnvironmentConfig, robot: Robot, before: jax.Array, control: ControlState, plant: PlantState):
     """The action that takes the tip to its target, as only the simulation can know, smoothed: the dither's swings are
     not to be answered."""
-    lacking = tip_correction.weighted_difference(plant.pose, control.target)
-    now = control.residual / config.residual.bound + motors.action_of(config.residual, lacking, control.correction)
+    error = tip_correction.tip_error(plant.pose, control.target)
+    now = control.residual / config.residual.bound + motors.action_of(config.residual, error, control.correction)
     share = 1.0 - math.exp(-config.control_period / _SMOOTHING)
     smoothed = before + share * (now - before)
     return jnp.where(controller.waited(config.controller, robot, control) > 0.0, smoothed, now).astype(before.dtype)
@@ -222,7 +222,7 @@ def _needed(config: EnvironmentConfig, robot: Robot, before: jax.Array, control:
 
 def _expert_action(config: EnvironmentConfig, robot: Robot, control: ControlState, needed: jax.Array) -> jax.Array:
     """What the policy should add to the controller's own action; nothing before the arm has settled."""
-    own = controller.own_action(config.controller, robot, control)
+    own = controller.own_action(config.controller, control)
     advised = jnp.clip(jnp.clip(needed, -1.0, 1.0) - own, -1.0, 1.0)
     return jnp.where(controller.waited(config.controller, robot, control) >= SETTLING, advised, 0.0)
 

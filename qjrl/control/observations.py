@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.control.sensors import rotation_vectors
-from qjrl.control.tip_correction import sensed_pose, weighted_difference
+from qjrl.control.tip_correction import sensed_pose, tip_error
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import PlantState
@@ -44,6 +44,10 @@ class ControlState:
     """(segments, 2) newest encoder estimate [rad]."""
     memory: jax.Array
     """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
+    estimated: jax.Array
+    """(segments, 2) estimate of how far from where a perfect arm would be this one rests [rad]."""
+    tip_error: jax.Array
+    """(6,) what the tip lacks of its target by that estimate, without residual and dither [m]."""
     step: jax.Array
     """Control steps since the start."""
 
@@ -51,8 +55,6 @@ class ControlState:
 def actor_observation(
     robot: Robot,
     state: ControlState,
-    estimated: jax.Array,
-    lacking: jax.Array,
     offset: jax.Array,
     ramp: jax.Array,
     waited: jax.Array,
@@ -65,8 +67,6 @@ def actor_observation(
     command is ramped in, lest the way to the target drown what is left at its end.
 
     Args:
-        estimated: (segments, 2) the best guess of that deviation [rad].
-        lacking: (6,) what the tip lacks by it [m].
         offset: (num_cables,) the residual's part of the command [m].
         ramp: how much of the base command is ramped in, 0 to 1.
         waited: time [s] since then.
@@ -74,13 +74,13 @@ def actor_observation(
     held = held_rotation_vectors(robot, state.command)
     deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
     without = held_rotation_vectors(robot, state.command - offset)
-    read = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, without + one), state.target))(deviations)
+    read = jax.vmap(lambda one: tip_error(sensed_pose(robot, without + one), state.target))(deviations)
     parts = (
         rotation_vectors(bends_from_cables(robot, state.base_lengths)),
         deviations,
-        estimated,
+        state.estimated,
         jnp.where(ramp >= 1.0, read, 0.0),
-        lacking,
+        state.tip_error,
         state.actions,
         state.command,
         state.target,

@@ -13,8 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qjrl.robot import strand_commands
-from qjrl.robot.quaternion_arm.dynamics import Load, equations_of_motion, joint_coordinates, tip_pose
+from qjrl.robot import strand_commands, strand_lengths
+from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles
+from qjrl.robot.quaternion_arm.dynamics import Load, joint_coordinates, tip_pose
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import Guarded, guarded
 from qjrl.simulation.minimal_step import MinimalState, Physics, minimal_steps, strand_tension
@@ -71,20 +72,27 @@ class MinimalEngine:
     def read(self, state: MinimalArms) -> PlantState:
         """As C MuJoCo would show it."""
         physics, moving, commands = _batch_last((state.physics, state.state.moving, state.strand_commands))
-        equations = equations_of_motion(self.robot, physics.load, moving.half_angles, moving.rates)
         coordinates = partial(joint_coordinates, self.robot)
         positions, velocities = jax.jvp(coordinates, (moving.half_angles,), (moving.rates,))
-        flat = moving.rates.reshape(2 * self.robot.num_segments, 1, -1)
+        lengths, rates = jax.jvp(self._strand_lengths, (moving.half_angles,), (moving.rates,))
         seen = PlantState(
             joint_positions=positions,
             joint_velocities=velocities,
-            strand_lengths=equations.strands,
-            strand_velocities=jnp.sum(flat * equations.strand_slope, axis=0),
-            strand_tension=strand_tension(self.robot, physics, equations.strands, commands),
+            strand_lengths=lengths,
+            strand_velocities=rates,
+            strand_tension=strand_tension(self.robot, physics, lengths, commands),
             pose=tip_pose(self.robot, moving.half_angles),
             is_sound=~state.state.has_failed,
         )
         return _batch_first(seen)
+
+    def _strand_lengths(self, half_angles: jax.Array) -> jax.Array:
+        """(strands, arms) [m] inside the joints, of half angles (segments, 2, arms) [rad]."""
+
+        def of_one(angles: jax.Array) -> jax.Array:
+            return strand_lengths(self.robot, bends_from_half_angles(angles))
+
+        return jax.vmap(of_one, in_axes=-1, out_axes=-1)(half_angles)
 
 
 def _physics(robot: Robot, parameters: PhysicalParameters) -> Physics:

@@ -13,7 +13,7 @@ from qjrl.control import arm_estimate, controller
 from qjrl.control.arm_estimate import EstimateConfig, Prior
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.observations import held_rotation_vectors
-from qjrl.control.tip_correction import sensed_pose, weighted_difference
+from qjrl.control.tip_correction import sensed_pose, tip_error
 from qjrl.robot import cable_lengths, equilibrium, forward_kinematics
 
 ARM = arm_named("qj_22")
@@ -100,7 +100,7 @@ def settled():
 def test_the_tip_lacks_by_the_estimate_what_it_lacks_where_the_arm_is_believed_to_rest(settled):
     config, state = settled
     held = held_rotation_vectors(ARM, LENGTHS)
-    expected = weighted_difference(sensed_pose(ARM, held + BELIEVED.expected), state.target)
+    expected = tip_error(sensed_pose(ARM, held + BELIEVED.expected), state.target)
     found = controller.lacking(config, ARM, state, controller.estimated(config, ARM, state))
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert np.abs(expected).max() > 1e-3
