@@ -9,6 +9,8 @@ Friction of a strand and the stop of a joint are rows of that system with bounde
 friction holds does not creep. Projected Gauss-Seidel sweeps find them, from the last step's impulses on.
 """
 
+import functools
+import itertools
 import math
 from typing import Any
 
@@ -109,10 +111,10 @@ def _without_rows(arm: QuaternionArm, physics: Physics, equations: Equations, st
     pull = jnp.stack([jnp.sum(moved[i] * tension[_strands_moved(arm, i)], axis=0) for i in range(size)])
     momentum = jnp.sum(equations.mass * rates[None], axis=1)
     right = momentum + timestep * (equations.force - spring * angles - pull)
-    return lower, cholesky.forward(lower, [right[i] for i in order])
+    return lower, jnp.stack(cholesky.forward(lower, [right[i] for i in order]))
 
 
-def _reduced_rows(arm: QuaternionArm, lower, equations: Equations) -> list[list[jax.Array]]:
+def _reduced_rows(arm: QuaternionArm, lower, equations: Equations) -> list[jax.Array]:
     """L^-1 times each row, strands before stops, without the zeros that it begins with.
 
     A row's velocity is their product with L^T rates, which an impulse of the row moves along them.
@@ -127,38 +129,39 @@ def _reduced_rows(arm: QuaternionArm, lower, equations: Equations) -> list[list[
             jnp.concatenate([equations.strand_slope[k, own], equations.cosine_slope[k, segment : segment + 1]])
             for k in coordinates
         ]
-        by_segment.append(cholesky.forward([row[begin:] for row in lower[begin:]], right))
-    of = lambda segment, place: [values[place] for values in by_segment[segment]]  # noqa: E731
-    rows = [of(segment, place) for segment in range(count) for place in range(strands)]
-    return rows + [of(segment, strands) for segment in range(count)]
+        by_segment.append(jnp.stack(cholesky.forward([row[begin:] for row in lower[begin:]], right)))
+    rows = [values[:, place] for values in by_segment for place in range(strands)]
+    return rows + [values[:, strands] for values in by_segment]
 
 
 def _sweep(free, rows, room, least, most, impulses):
     """L^T rates with row . rates = -offset wherever the row's impulse is within its bounds, and the impulses."""
-    number = len(rows) - len(room)
-    gain = [1.0 / jnp.maximum(sum(value * value for value in row), 1e-12) for row in rows]
-    impulses = list(jnp.clip(impulses, least, most))
-    for row, impulse in zip(rows, impulses, strict=True):
-        free = _pushed(free, row, impulse)
+    offset = jnp.concatenate([jnp.zeros((len(rows) - len(room), *room.shape[1:]), room.dtype), room])
+    gain = jnp.stack([1.0 / jnp.maximum(jnp.sum(row * row, axis=0), 1e-12) for row in rows])
+    impulses = jnp.clip(impulses, least, most)
+    runs = [list(run) for _, run in itertools.groupby(range(len(rows)), lambda place: len(rows[place]))]
+
+    def pushed(free, impulses):
+        for run in runs:
+            still = len(free) - len(rows[run[0]])
+            push = functools.reduce(jnp.add, [rows[place] * impulses[place] for place in run])
+            free = jnp.concatenate([free[:still], free[still:] + push])
+        return free
 
     def once(_, carry):
         free, impulses = carry
         found = []
-        for place, row in enumerate(rows):
-            velocity = sum(one * other for one, other in zip(row, free[len(free) - len(row) :], strict=True))
-            velocity = velocity if place < number else velocity + room[place - number]
-            impulse = jnp.clip(impulses[place] - gain[place] * velocity, least[place], most[place])
-            free = _pushed(free, row, impulse - impulses[place])
-            found.append(impulse)
-        return free, found
+        for run in runs:
+            still = len(free) - len(rows[run[0]])
+            moving = free[still:]
+            for place in run:
+                velocity = jnp.sum(rows[place] * moving, axis=0) + offset[place]
+                found.append(jnp.clip(impulses[place] - gain[place] * velocity, least[place], most[place]))
+                moving = moving + rows[place] * (found[-1] - impulses[place])
+            free = jnp.concatenate([free[:still], moving])
+        return free, jnp.stack(found)
 
-    free, impulses = jax.lax.fori_loop(0, SWEEPS, once, (free, impulses))
-    return free, jnp.stack(impulses)
-
-
-def _pushed(free, row, impulse) -> list[jax.Array]:
-    still = len(free) - len(row)
-    return [*free[:still], *(one + value * impulse for one, value in zip(free[still:], row, strict=True))]
+    return jax.lax.fori_loop(0, SWEEPS, once, (pushed(free, impulses), impulses))
 
 
 def _strands_moved(arm: QuaternionArm, coordinate: int) -> slice:
