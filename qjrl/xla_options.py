@@ -8,7 +8,8 @@ import jax
 
 # XLA fuses the chain so that every link computes all links before it again, its time doubling with each: MJX's kinematics
 # of 8 joints took 100 s to compile and 4 s to run a row; without fusion 12 s and 0.3 ms.
-CPU_COMPILER_OPTIONS = {"xla_disable_hlo_passes": "fusion"}
+# XLA makes one function of a loop whose state is small, and LLVM needs minutes for one as long as a step of a few arms.
+CPU_COMPILER_OPTIONS = {"xla_disable_hlo_passes": "fusion,small-while-loop-hoisting"}
 
 
 def jit_of_chains(function: Callable[..., Any], **arguments: Any) -> Callable[..., Any]:
