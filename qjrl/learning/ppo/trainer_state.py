@@ -58,7 +58,9 @@ class Snapshot:
 def snapshot(trainer: TrainerState) -> Snapshot:
     """What a checkpoint holds; all processes take it together."""
     learner, envs = _apart(trainer)
-    return Snapshot(serialization.to_state_dict(meshes.on_host(learner)), _flat(meshes.on_host(envs)))
+    plain = serialization.to_state_dict(meshes.on_host(learner))
+    # brax's counter makes arrays of a device of whatever it is given.
+    return Snapshot(jax.tree.map(np.asarray, plain), _flat(meshes.on_host(envs)))
 
 
 def restored(trainer: TrainerState, found: Snapshot, mesh: Mesh) -> TrainerState:
