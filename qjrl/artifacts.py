@@ -9,13 +9,15 @@ import json
 import os
 import secrets
 import shutil
-import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import UnionType
 from typing import Any, BinaryIO
 
 import numpy as np
+
+from qjrl import machine, plain_json
 
 DATASET_FORMAT = 1
 DONE = "done.json"
@@ -38,8 +40,8 @@ def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
 
 
 def write_json(path: str | Path, content: Any) -> None:
-    """Writes one JSON document, readable by people: the whole file or none of it."""
-    write_bytes(path, (json.dumps(_plain(content), indent=2) + "\n").encode())
+    """Writes one JSON document, readable by people: the whole file or none of it. NaN and infinity become null."""
+    write_bytes(path, (plain_json.dumps(content, indent=2) + "\n").encode())
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
@@ -62,18 +64,19 @@ def place_copy(source: str | Path, path: str | Path) -> None:
 
 
 def remove_unfinished(directory: str | Path) -> None:
-    """Deletes what a killed process was writing; for a directory in which no other process is at work."""
+    """Deletes what a killed process was writing, where no other process is at work."""
     for path in Path(directory).glob(".*.tmp"):
         path.unlink(missing_ok=True)
 
 
 def append_json_line(path: str | Path, record: Any) -> None:
-    """Appends one record to a ``.jsonl`` file; half a line left by a crash is cut off first."""
-    line = (json.dumps(_plain(record)) + "\n").encode()
+    """Appends one record to a ``.jsonl`` file; half a line left by a crash is cut off first. NaN becomes null."""
+    line = (plain_json.dumps(record) + "\n").encode()
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     with open(path, "a+b") as file:
         end = file.seek(0, os.SEEK_END)
-        if end and _byte_at(file, end - 1) != b"\n":
+        file.seek(max(end - 1, 0))
+        if file.read(1) not in (b"", b"\n"):
             file.seek(0)
             file.truncate(file.read().rfind(b"\n") + 1)
         file.write(line)
@@ -101,21 +104,47 @@ def append_shard(
     write_arrays(directory / name, arrays)
     if first_row is None:
         first_row = sum(shard["rows"] for shard in manifest["shards"])
-    rows = len(next(iter(arrays.values())))
-    shard = {"name": name, "first_row": first_row, "rows": rows, "sha256": hash_of_file(directory / name)}
+    shard = {"name": name, "first_row": first_row, "rows": len(next(iter(arrays.values())))}
+    shard |= {"sha256": hash_of_file(directory / name)}
     write_json(directory / MANIFEST, manifest | about | {"shards": [*manifest["shards"], shard]})
 
 
 def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[str, Any]:
     """The manifest of a dataset directory, checked: format, and the robot when `robot_hash` is given."""
-    path = Path(directory) / MANIFEST
-    manifest = load(path)
-    if not isinstance(manifest, dict) or manifest.get("format") != DATASET_FORMAT:
-        found = manifest.get("format") if isinstance(manifest, dict) else None
-        raise ArtifactError(f"{path}: is not a dataset of format {DATASET_FORMAT} (found {found})")
+    manifest = read_record(path := Path(directory) / MANIFEST, {"format": int}, "a dataset's manifest")
+    if manifest["format"] != DATASET_FORMAT:
+        raise ArtifactError(f"{path}: is not a dataset of format {DATASET_FORMAT} (found {manifest['format']})")
+    check_record(path, manifest, {"robot_hash": str, "shards": list}, "a dataset's manifest")
+    for entry in manifest["shards"]:
+        check_record(path, entry, {"name": str, "first_row": int, "rows": int, "sha256": str}, "a manifest's shard")
+        if entry["name"] != Path(entry["name"]).name:
+            raise ArtifactError(f"{path}: lists the shard {entry['name']!r}, expected a file beside it")
     if robot_hash is not None and manifest.get("robot_hash") != robot_hash:
         raise ArtifactError(f"{path}: belongs to another robot ({manifest.get('robot_hash')}, expected {robot_hash})")
     return manifest
+
+
+def read_record(path: str | Path, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
+    """The mapping in a JSON file, with the keys that are needed: the one way to read what is then asked by key.
+
+    Args:
+        kinds: key -> type of its value; other keys may be there too.
+        what: what the file is, for the message of the ArtifactError.
+    """
+    if Path(path).is_dir():
+        raise ArtifactError(f"{path}: is a directory, expected {what}")
+    return check_record(path, load(path), kinds, what)
+
+
+def check_record(path: str | Path, record: Any, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
+    """The record, if it is a mapping with the keys `kinds`; see `read_record`."""
+    if not isinstance(record, dict):
+        raise ArtifactError(f"{path}: is not {what} (holds no mapping)")
+    for key, kind in kinds.items():
+        if key not in record or not isinstance(record[key], kind) or isinstance(record[key], bool):
+            found = f"{key} is {type(record[key]).__name__}" if key in record else f"{key} is missing"
+            raise ArtifactError(f"{path}: is not {what} ({found}); it is damaged, or another program wrote it")
+    return record
 
 
 def load(path: str | Path, robot_hash: str | None = None) -> Any:
@@ -133,14 +162,15 @@ def load(path: str | Path, robot_hash: str | None = None) -> Any:
     path = Path(path)
     if path.is_dir():
         return _load_directory(path, robot_hash)
-    reader = _READERS.get(path.suffix)
-    if reader is None:
+    if (reader := _READERS.get(path.suffix)) is None:
         raise ArtifactError(f"{path}: unknown kind of file, known: {', '.join(_READERS)} and directories of these")
     try:
         return reader(path)
     except FileNotFoundError as error:
         raise ArtifactError(f"{path}: does not exist") from error
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+    except Exception as error:  # damaged bytes make zipfile, NumPy and json raise almost anything
+        if isinstance(error, OSError) and not machine.is_of_input(error):
+            raise
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason})") from error
 
@@ -154,7 +184,7 @@ def load_or_make(path: str | Path, make: Callable[[], Mapping[str, Any]]) -> dic
 
 def hash_of(content: Any) -> str:
     """Hexadecimal SHA-256 of the canonical JSON of `content`; key order and tuple or list make no difference."""
-    text = json.dumps(_plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(plain_json.plain(content), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -182,9 +212,13 @@ def mark_done(directory: str | Path, **about: Any) -> None:
 
 
 def done_marker(directory: str | Path) -> dict[str, Any] | None:
-    """The content of the done-marker, None where there is none."""
+    """The content of the done-marker, None where there is none.
+
+    Raises:
+        ArtifactError: the marker is damaged.
+    """
     path = Path(directory) / DONE
-    return load(path) if path.exists() else None
+    return read_record(path, {"output_hash": str}, "a done-marker") if path.exists() else None
 
 
 def _load_directory(directory: Path, robot_hash: str | None) -> Any:
@@ -198,8 +232,7 @@ def _load_directory(directory: Path, robot_hash: str | None) -> Any:
 
 def _load_dataset(directory: Path, robot_hash: str | None) -> dict[str, np.ndarray]:
     manifest = read_manifest(directory, robot_hash)
-    shards = [_load_shard(directory, shard) for shard in manifest["shards"]]
-    if not shards:
+    if not (shards := [_load_shard(directory, shard) for shard in manifest["shards"]]):
         return {}
     if any(shard.keys() != shards[0].keys() for shard in shards):
         raise ArtifactError(f"{directory}: the shards do not have the same columns")
@@ -232,7 +265,7 @@ def _load_checkpoint(directory: Path) -> Any:
 
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path, allow_pickle=False) as archive:
+    with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
 
 
@@ -265,19 +298,3 @@ def _replacing(path: Path) -> Iterator[BinaryIO]:
 def _temporary(path: Path) -> Path:
     """A name that no other process has, on this machine or another."""
     return path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
-
-
-def _byte_at(file: BinaryIO, position: int) -> bytes:
-    file.seek(position)
-    return file.read(1)
-
-
-def _plain(value: Any) -> Any:
-    """Dicts, lists, numbers and texts only: what JSON holds."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-        return [_plain(item) for item in value]
-    return value.as_posix() if isinstance(value, Path) else value

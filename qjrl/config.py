@@ -7,14 +7,16 @@ and ``Annotated[T, Range(...)]`` for bounds.
 
 import dataclasses
 import difflib
+import functools
 import math
 import re
+import sys
 import types
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
 
-import yaml
+from qjrl import machine, plain_yaml
 
 
 class ConfigError(ValueError):
@@ -70,31 +72,81 @@ def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
         raise ConfigError(_placed(str(error), where, fields)) from error
 
 
+@dataclasses.dataclass(frozen=True)
+class NotIdentity:
+    """Marks a field that cannot change a bit of a result, which is therefore no part of what a result depends on:
+    ``Annotated[int, Range(0, 1024), NotIdentity()]``."""
+
+    given: Callable[[Any], bool] = lambda config: True
+    """Of the configuration that holds the field: whether that is so."""
+
+
+def identity_of(value: Any) -> Any:
+    """`as_mapping` without the fields that cannot change a result: what is hashed to tell results apart."""
+    return _plain(value, lambda config, marks: any(mark.given(config) for mark in marks))
+
+
 def as_mapping(value: Any) -> Any:
     """The inverse of `build`: nested dataclasses, tuples and paths as plain dicts, lists and strings."""
+    return _plain(value, lambda config, marks: False)
+
+
+def _plain(value: Any, is_left_out: Callable[[Any, list[NotIdentity]], bool]) -> Any:
     if dataclasses.is_dataclass(value):
-        return {field.name: as_mapping(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        marks = _marks(type(value))
+        names = [field.name for field in dataclasses.fields(value) if not is_left_out(value, marks[field.name])]
+        return {name: _plain(getattr(value, name), is_left_out) for name in names}
     if isinstance(value, Mapping):
-        return {str(key): as_mapping(item) for key, item in value.items()}
+        return {str(key): _plain(item, is_left_out) for key, item in value.items()}
     if isinstance(value, (tuple, list)):
-        return [as_mapping(item) for item in value]
+        return [_plain(item, is_left_out) for item in value]
     return str(value) if isinstance(value, Path) else value
 
 
+@functools.cache
+def _marks(cls: type) -> dict[str, list[NotIdentity]]:
+    """Field name -> its marks."""
+    kinds = get_type_hints(cls, include_extras=True)
+    return {name: [mark for mark in get_args(kind) if isinstance(mark, NotIdentity)] for name, kind in kinds.items()}
+
+
 def read_yaml(path: str | Path) -> dict[str, Any]:
-    """The mapping in one YAML file. Numbers such as ``1e-3`` are numbers here (plain PyYAML reads a text).
+    """The mapping in one YAML file, as `plain_yaml` reads it: 065 is 65, ``no`` is a text, every key stands once.
 
     Raises:
         ConfigError: the file is missing, is not YAML, or holds something else than a mapping.
+        OSError: the disk or the rights are at fault.
     """
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), Loader=_Loader)
+        content = plain_yaml.load(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
+        if not machine.is_of_input(error):
+            raise
         raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a YAML file") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of plain_yaml, of the encoding, of a path with a zero byte
         raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: holds {_show(content)}, expected a mapping of keys to values")
+    return content
+
+
+def read_literal_yaml(path: str | Path) -> dict[str, Any]:
+    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations.
+
+    Raises:
+        ConfigError: see `read_yaml`; or the file has a defaults list or an interpolation such as ``${name}``.
+    """
+    content = read_yaml(path)
+    if "defaults" in content:
+        raise ConfigError(f"{path}: defaults: got a list of files to build on, allowed: the values themselves")
+    waiting: list[tuple[str, Any]] = [("", content)]
+    while waiting:
+        where, value = waiting.pop()
+        if isinstance(value, (dict, list)):
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [(_join(where, key), item) for key, item in items] + [(where, str(key)) for key, _ in items]
+        elif isinstance(value, str) and ("${" in value or value == "???"):
+            raise ConfigError(f"{path}: {where}: got {_show(value)}, allowed: the value itself, no ${{...}} and no ???")
     return content
 
 
@@ -147,17 +199,6 @@ _WORDS: dict[Any, str] = {
 }
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML 1.2 floats, so that files read by Hydra and files read here mean the same."""
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d[\d_]*\.?[\d_]*|\.\d[\d_]*)([eE][-+]?\d+)$"),
-    list("-+.0123456789"),
-)
-
-
 def _convert(value: Any, kind: Any, where: str) -> Any:
     """`value` as the type `kind`, or a ConfigError."""
     origin, arguments = get_origin(kind), get_args(kind)
@@ -174,7 +215,7 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
     kind = origin or kind
     if kind is dict and isinstance(value, Mapping):
         return dict(value)
-    if kind is float and type(value) in (int, float) and math.isfinite(value):
+    if kind is float and type(value) in (int, float) and abs(value) <= sys.float_info.max:
         return float(value)
     if kind is Path and isinstance(value, (str, Path)) and str(value):
         return Path(value)

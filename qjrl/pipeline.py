@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+from qjrl import machine, shipped
 from qjrl.config import ConfigError, Range, build, known_names, unknown_key
 from qjrl.stage import Stage, alone_in, robot_hash_of, run_part, run_stage, run_together
 
@@ -136,9 +137,12 @@ class RunConfig:
     """Name of the directory of the run."""
     stages: tuple[str, ...]
     """Names of the stages to run, in any order."""
+    seed: Annotated[int, Range(0, 2**32 - 1)] = 0
+    """Of everything random, in every stage."""
     processes: ProcessesConfig = ProcessesConfig()
 
     def __post_init__(self) -> None:
+        check_name(self.name)
         if not self.stages:
             raise ConfigError(f"stages: got [], allowed: some of {', '.join(STAGES)}")
         for stage in self.stages:
@@ -149,18 +153,40 @@ class RunConfig:
             raise ConfigError(f"stages: got [{','.join(self.stages)}], allowed: {allowed} alone, by several processes")
 
 
+def check_name(name: Any) -> str:
+    """The name of a run, if it can be that of a directory below the one of all runs.
+
+    Raises:
+        ConfigError: it is empty, no text, or leads somewhere else.
+    """
+    parts = name.split("/") if isinstance(name, str) else [""]
+    is_fine = all(
+        part.strip() and part not in (".", "..") and len(part.encode(errors="replace")) < 240 for part in parts
+    )
+    if not is_fine or not name.isprintable():
+        raise ConfigError(
+            f"name: got {' '.join(repr(name).split())[:80]}, allowed: the name of a directory, or of one below another as in a/b"
+        )
+    return name
+
+
 def selected(tree: Mapping[str, Any]) -> list[str]:
     """The stages that a configuration asks for, each once, in the order of the data flow."""
     return in_order(build(RunConfig, _part(tree, RunConfig)).stages)
 
 
 def meet(tree: Mapping[str, Any]) -> None:
-    """Joins the other processes of the run, if there are any, before JAX looks for devices."""
+    """Joins the other processes of the run, if there are any, before JAX looks for devices; then there must be some.
+
+    Raises:
+        MachineError: the others are not there, or there is no device.
+    """
     config = build(RunConfig, _part(tree, RunConfig)).processes
     if config.count > 1:
         from qjrl.learning import processes
 
         processes.join(config.coordinator, config.count, config.index)
+    machine.require_device()
 
 
 def in_order(names: Iterable[str]) -> list[str]:
@@ -195,8 +221,27 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
             run_stage(STAGES, name, config.whole() if hasattr(config, "whole") else config, run_dir)
 
 
+def build_needed(tree: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Checks the whole configuration before any work, and builds the Configs of some stages.
+
+    Another stage's module is imported only where a key of its own holds what no shipped file says: what is misspelt or
+    out of range anywhere is refused, and a stage that cannot be imported here stops only those who ask for it.
+
+    Args:
+        tree: the resolved configuration as plain dicts and lists.
+        names: of the stages to run.
+    Raises:
+        ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
+    """
+    kinds = {name: STAGES[name].load().Config for name in names}
+    checked = {field.name for kind in (RunConfig, *kinds.values()) for field in dataclasses.fields(kind)}
+    if all(key in checked or shipped.says(key, value) for key, value in tree.items()):
+        return _configs(tree, kinds)
+    return build_configs(tree)
+
+
 def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
-    """Checks the whole configuration before any work: builds every stage's Config from the keys it names.
+    """Checks the whole configuration: builds every stage's Config from the keys it names.
 
     Args:
         tree: the resolved configuration as plain dicts and lists.
@@ -208,6 +253,10 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
     for key in tree:
         if key not in known:
             raise unknown_key(key, tree[key], sorted(known))
+    return _configs(tree, kinds)
+
+
+def _configs(tree: Mapping[str, Any], kinds: Mapping[str, type]) -> dict[str, Any]:
     configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
     for config in configs.values():
         robot_hash_of(config)

@@ -3,9 +3,12 @@
 On a terminal a bar is drawn; anywhere else (a file, a cluster log) a line is printed about every ten seconds.
 """
 
+import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
@@ -14,7 +17,61 @@ from rich.text import Text
 LINE_INTERVAL = 10.0
 """Seconds between two progress lines where there is no terminal."""
 
-console = Console(soft_wrap=True, highlight=False)
+
+class Eye:
+    """A stream for people: what it cannot show is shown otherwise or not at all, and never ends the work.
+
+    A character that the encoding lacks becomes ``?``; a closed pipe or a full disk swallows the rest.
+    """
+
+    def __init__(self, stream: Any = None) -> None:
+        self._stream, self._is_closed = stream, False
+
+    @property
+    def _target(self) -> Any:
+        return sys.stdout if self._stream is None else self._stream
+
+    def write(self, text: str) -> int:
+        encoding = self.encoding
+        self._try(lambda: self._target.write(text.encode(encoding, "replace").decode(encoding)))
+        return len(text)
+
+    def flush(self) -> None:
+        self._try(lambda: self._target.flush())
+
+    def isatty(self) -> bool:
+        return bool(getattr(self._target, "isatty", lambda: False)()) and not self._is_closed
+
+    def fileno(self) -> int:
+        return self._target.fileno()
+
+    @property
+    def encoding(self) -> str:
+        """Of the stream beneath; rich draws with what it has."""
+        return getattr(self._target, "encoding", None) or "utf-8"
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._target, name)
+
+    def _try(self, action: Callable[[], Any]) -> None:
+        if self._is_closed or self._target is None:
+            return
+        try:
+            action()
+        except (OSError, ValueError):
+            self._is_closed = True
+            self._discard_the_rest()
+
+    def _discard_the_rest(self) -> None:
+        """What the stream still holds would be written, and fail, when Python ends."""
+        try:
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), self._target.fileno())
+        except (OSError, ValueError, AttributeError):
+            return
+
+
+console = Console(soft_wrap=True, highlight=False, file=Eye())  # pyright: ignore[reportArgumentType]
 """Every line of a run goes through here, so that lines and bars do not write over each other."""
 
 

@@ -36,6 +36,16 @@ def provenance(config: Any, seed: int | None, robot_hash: str | None) -> dict[st
     }
 
 
+def read_provenance(directory: str | Path) -> dict[str, Any]:
+    """The record beside an artifact.
+
+    Raises:
+        ArtifactError: missing or damaged.
+    """
+    kinds = {"config_hash": str, "robot_hash": str | None, "seed": int | None, "config": dict}
+    return artifacts.read_record(Path(directory) / artifacts.PROVENANCE, kinds, "a provenance")
+
+
 def _without_places(value: Any) -> Any:
     """Absolute paths reduced to the file name: they say nothing to anybody else."""
     if isinstance(value, dict):

@@ -4,7 +4,9 @@ A stage is a module with a frozen dataclass `Config`, whose fields are top-level
 ``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
 
 Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
-reads beside them) and `packages` (what -> which, of extras that change what it writes).
+reads beside them), `packages` (what -> which, of extras that change what it writes);
+not on fields that cannot change a result (`config.NotIdentity`). Output of another identity makes room and is kept; it is
+taken back when its identity is asked for again.
 
 Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
 `parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
@@ -15,18 +17,18 @@ import dataclasses
 import fcntl
 import importlib
 import logging
-import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from qjrl import artifacts
+from qjrl import artifacts, kept
 from qjrl.artifacts import ArtifactError
-from qjrl.config import as_mapping
-from qjrl.provenance import provenance
+from qjrl.config import as_mapping, identity_of
+from qjrl.machine import MachineError
+from qjrl.provenance import provenance, read_provenance
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +55,10 @@ class Stage:
 Stages = Mapping[str, Stage]
 
 
+class AtWork(ArtifactError, MachineError):  # noqa: N818
+    """Another process is at work in the same directory."""
+
+
 @contextmanager
 def alone_in(run_dir: Path, name: str = ".lock", wait: bool = False) -> Iterator[None]:
     """Two runs in one directory would move each other's output away."""
@@ -61,23 +67,26 @@ def alone_in(run_dir: Path, name: str = ".lock", wait: bool = False) -> Iterator
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
         except BlockingIOError as error:
-            raise ArtifactError(
-                f"{run_dir}: another run is at work here; wait for it or choose another name="
-            ) from error
+            raise AtWork(f"{run_dir}: another run is at work here; wait for it or choose another name=") from error
         yield
 
 
 def run_part(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
     """One process's share of a stage; the process that ends last makes the whole of all shares."""
     out = run_dir / stages[name].writes
-    if _same(out / artifacts.DONE, _identity(stages, name, config.whole(), run_dir)):
+    whole = _identity(stages, name, config.whole(), run_dir)
+    if _is_done(out, whole):
         log.info("%s: done before and unchanged, skipped", name)
+        return
+    if any(map(_unless_damaged(_is_done, whole), kept.kept_of(out))):
+        with alone_in(run_dir, wait=True):
+            _take_back(name, out, whole)
         return
     parts = artifacts.parts_of(out)
     with alone_in(parts, f".{config.part}.lock"):
         run_stage(stages, name, config, run_dir)
     every = config.parts().items()
-    if all(_same(parts / part / artifacts.DONE, _identity(stages, name, other, run_dir)) for part, other in every):
+    if all(_is_done(parts / part, _identity(stages, name, other, run_dir)) for part, other in every):
         with alone_in(run_dir, wait=True):  # of two that end at once, the second finds it done
             run_stage(stages, name, config.whole(), run_dir)
 
@@ -91,8 +100,9 @@ def run_together(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
             stages[name].load().run(config, _inputs(stages, name, run_dir), run_dir / stages[name].writes)
         return
     with alone_in(run_dir):
-        done = run_dir / stages[name].writes / artifacts.DONE
-        processes.of_first(_same(done, _identity(stages, name, config, run_dir)))
+        out, identity = run_dir / stages[name].writes, _identity(stages, name, config, run_dir)
+        _take_back(name, out, identity)
+        processes.of_first(_is_done(out, identity))
         run_stage(stages, name, config, run_dir)
 
 
@@ -102,7 +112,8 @@ def run_stage(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
     identity = _identity(stages, name, config, run_dir)
     if (part := getattr(config, "part", None)) is not None:
         label, out = f"{name} {part}", artifacts.parts_of(out) / part
-    if _same(out / artifacts.DONE, identity):
+    _take_back(label, out, identity)
+    if _is_done(out, identity):
         log.info("%s: done before and unchanged, skipped", label)
         return
     _make_room(label, out, identity)
@@ -127,7 +138,7 @@ def _identity(stages: Stages, name: str, config: Any, run_dir: Path) -> dict[str
             needed = [stage for stage in stages if stage in {name, *_unfinished(stages, name, run_dir)}]
             raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{','.join(needed)}]")
     return {
-        "config_hash": artifacts.hash_of(as_mapping(config) | outside),
+        "config_hash": artifacts.hash_of(identity_of(config) | outside),
         "robot_hash": robot_hash,
         "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
     }
@@ -147,25 +158,55 @@ def _input_hash(name: str, source: str, directory: Path, robot_hash: str | None)
     return marker["output_hash"]
 
 
+def _take_back(name: str, out: Path, identity: Mapping[str, Any]) -> None:
+    """What is wanted may have made room before: finished, or else begun."""
+    if _is_done(out, identity):
+        return
+    place = kept.take_back(out, _unless_damaged(_is_done, identity))
+    if place is None and not _is_begun(out, identity):
+        place = kept.take_back(out, _unless_damaged(_is_begun, identity))
+    if place is not None:
+        log.info("%s: taken back from %s", name, place.name)
+
+
 def _make_room(name: str, out: Path, identity: Mapping[str, Any]) -> None:
     """An interrupted run of the same identity goes on in its directory; anything else is moved out of the way."""
     if not out.exists() or not any(out.iterdir()):
         log.info("%s: starts", name)
-    elif _same(out / artifacts.PROVENANCE, identity) and not (out / artifacts.DONE).exists():
+    elif _is_begun(out, identity):
         log.info("%s: was interrupted, goes on", name)
     else:
-        previous = out.with_name(out.name + ".previous")
-        shutil.rmtree(previous, ignore_errors=True)
-        out.rename(previous)
-        log.info("%s: configuration or inputs changed, starts afresh (the old output is in %s)", name, previous.name)
+        place = kept.move_away(out)
+        log.info("%s: configuration or inputs changed, starts afresh (the old output is in %s)", name, place.name)
     out.mkdir(parents=True, exist_ok=True)
 
 
-def _same(record: Path, identity: Mapping[str, Any]) -> bool:
-    if not record.exists():
+def _is_done(out: Path, identity: Mapping[str, Any]) -> bool:
+    return _holds(artifacts.done_marker(out), identity)
+
+
+def _is_begun(out: Path, identity: Mapping[str, Any]) -> bool:
+    if not (out / artifacts.PROVENANCE).exists() or (out / artifacts.DONE).exists():
         return False
-    content = artifacts.load(record)
-    return all(content.get(key) == value for key, value in identity.items())
+    return _holds(read_provenance(out), identity)
+
+
+def _holds(record: Mapping[str, Any] | None, identity: Mapping[str, Any]) -> bool:
+    return record is not None and all(record.get(key) == value for key, value in identity.items())
+
+
+def _unless_damaged(
+    holds: Callable[[Path, Mapping[str, Any]], bool], identity: Mapping[str, Any]
+) -> Callable[[Path], bool]:
+    """Of kept output: what is damaged there is no reason to stop."""
+
+    def is_wanted(path: Path) -> bool:
+        try:
+            return holds(path, identity)
+        except ArtifactError:
+            return False
+
+    return is_wanted
 
 
 def robot_hash_of(config: Any) -> str | None:

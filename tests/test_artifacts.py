@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qjrl import artifacts
+from qjrl import artifacts, plain_json
 from qjrl.artifacts import ArtifactError
 
 
@@ -165,3 +165,35 @@ def test_the_hash_of_a_directory_sees_names_and_bytes_but_not_provenance(tmp_pat
     assert artifacts.done_marker(tmp_path) == {"config_hash": "c", "output_hash": first}
     artifacts.write_json(tmp_path / "a.json", 2)
     assert artifacts.hash_of_directory(tmp_path) != first
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), np.float32("-inf"), np.array([1.0, np.nan])])
+def test_json_holds_no_number_that_json_lacks(tmp_path, number) -> None:
+    artifacts.write_json(tmp_path / "a.json", {"x": number, "y": [1.5, number]})
+    artifacts.append_json_line(tmp_path / "a.jsonl", {"x": number})
+    for path in (tmp_path / "a.json", tmp_path / "a.jsonl"):
+        json.loads(path.read_text(), parse_constant=lambda name: pytest.fail(name))
+    found = artifacts.load(tmp_path / "a.json")["x"]
+    np.testing.assert_array_equal(plain_json.numbers_again(found), np.where(np.isfinite(number), number, np.nan))
+
+
+def test_files_of_before_with_a_bare_nan_are_still_read(tmp_path) -> None:
+    (tmp_path / "a.json").write_text('{"x": NaN}')
+    assert np.isnan(artifacts.load(tmp_path / "a.json")["x"])
+
+
+@pytest.mark.parametrize("content", ["[]", "3", '{"a": "x"}', '{"a": true}', '{"b": 1}'])
+def test_a_record_without_what_is_asked_of_it_is_refused(tmp_path, content) -> None:
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(ArtifactError, match=r"a\.json: is not a record"):
+        artifacts.read_record(tmp_path / "a.json", {"a": int}, "a record")
+
+
+def test_a_manifest_names_files_beside_it_only(tmp_path) -> None:
+    artifacts.append_shard(tmp_path / "data", rows(0, 3), "robot")
+    manifest = artifacts.load(tmp_path / "data" / "manifest.json")
+    for entry in ({"name": "../x.npz"}, {"name": 3}, {"rows": "3"}, {"sha256": None}):
+        artifacts.write_json(
+            tmp_path / "data" / "manifest.json", manifest | {"shards": [manifest["shards"][0] | entry]}
+        )
+        assert "manifest.json" in refused(tmp_path / "data")

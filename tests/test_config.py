@@ -1,5 +1,6 @@
 import dataclasses
 import math
+import typing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -7,7 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qjrl.config import ConfigError, Range, as_mapping, build, conf_folder, read_yaml
+from qjrl.config import (
+    ConfigError,
+    NotIdentity,
+    Range,
+    as_mapping,
+    build,
+    conf_folder,
+    identity_of,
+    read_literal_yaml,
+    read_yaml,
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -161,3 +172,50 @@ def test_every_shipped_yaml_file_is_a_mapping() -> None:
     assert files
     for file in files:
         read_yaml(file)
+
+
+@dataclasses.dataclass(frozen=True)
+class Marked:
+    inner: Joint
+    threads: Annotated[int, Range(0, 8), NotIdentity()] = 0
+    batch: Annotated[int, NotIdentity(lambda config: config.engine == "c")] = 4
+    engine: str = "c"
+
+
+def test_a_field_that_cannot_change_a_result_is_no_identity_and_all_others_are() -> None:
+    marked = Marked(Joint(1.0))
+    assert identity_of(marked) == {"inner": as_mapping(Joint(1.0)), "engine": "c"}
+    assert identity_of(dataclasses.replace(marked, engine="mjx")).keys() == {"inner", "batch", "engine"}
+    assert as_mapping(marked).keys() == {"inner", "threads", "batch", "engine"}
+
+
+def test_only_these_fields_of_the_stages_are_no_identity() -> None:
+    from qjrl import pipeline
+
+    def leaves(kind: type, where: str, found: dict[str, Any]) -> None:
+        for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+            if any(isinstance(mark, NotIdentity) for mark in typing.get_args(hint)):
+                found[f"{where}{name}"] = hint
+            elif dataclasses.is_dataclass(hint):
+                leaves(hint, f"{where}{name}.", found)  # pyright: ignore[reportArgumentType]
+
+    found: dict[str, Any] = {}
+    for stage in pipeline.STAGES.values():
+        leaves(stage.load().Config, "", found)
+    assert sorted(found) == [
+        "policy.tensorboard",
+        "sample.shard_size",
+        "simulation.batch_size",
+        "simulation.num_threads",
+    ]
+
+
+@pytest.mark.parametrize("content", ["defaults: [x]\n", "a: ${seed}\n", "a: {b: ['${x}']}\n", "a: ???\n", "${a}: 1\n"])
+def test_a_file_of_values_composes_nothing(tmp_path, content) -> None:
+    (tmp_path / "arm.yaml").write_text(content)
+    with pytest.raises(ConfigError, match=r"arm\.yaml: .*allowed: the value"):
+        read_literal_yaml(tmp_path / "arm.yaml")
+
+
+def test_a_number_beyond_floats_is_refused() -> None:
+    assert "a finite number" in refused(joint={"length": 10**400})

@@ -21,6 +21,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from qjrl.learning.ppo.books import PROGRESS
 
 from qjrl import artifacts
 from qjrl.config import build, conf_folder, read_yaml
@@ -32,7 +33,6 @@ from qjrl.control.judging import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.learning.fitting import FitState, FittedNetwork, Rows, make_optimiser, mean_squared_error, train_epoch
-from qjrl.learning.ppo.books import PROGRESS
 from qjrl.learning.ppo.train import train
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, load_robot

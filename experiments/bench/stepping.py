@@ -5,13 +5,13 @@ import time
 import jax
 import jax.numpy as jnp
 import numpy as np
+from qjrl.simulation.minimal_stepping import MinimalStepper
 
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
 ROBOT, NUM_ARMS, NUM_STEPS, CONTROL_PERIOD, RAMP_STEPS = "qj_2222", 512, 40, 0.02, 100

@@ -13,6 +13,7 @@ from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.rested import require_valid
 from qjrl.simulation.settle_problem import SettleConfig
 
 
@@ -44,6 +45,9 @@ def compare_controllers(
         judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed_for(seed, "arms of the comparison"))
         found[controller_name(base, act is not None)] = judge.judge(act, advance)
     is_valid = np.all([one.is_valid for one in found.values()], axis=0)
+    for index, target_set in enumerate(TARGET_SETS):
+        in_set = is_valid[targets["target_set"][rows] == index]
+        require_valid(in_set, f"compare, robustness: episodes to {target_set} targets, of all controllers")
     return {
         (target_set, name): _of_set(one, rows, is_valid, targets["target_set"] == index)
         for index, target_set in enumerate(TARGET_SETS)

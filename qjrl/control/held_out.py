@@ -6,6 +6,7 @@ from scipy.spatial import KDTree
 from qjrl.config import ConfigError
 from qjrl.keys import seed_for
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -24,7 +25,7 @@ def reachable_targets(
         trained: (rows, 9) poses of the data set.
         advance: called with the number of newly found targets.
     Raises:
-        ConfigError: hardly any pose lies so far from all rows.
+        ConfigError: hardly any pose lies so far from all rows, or none rests.
     """
     tree, found, missing, start = KDTree(trained[:, :3]), [], count, 0
     while missing > 0:
@@ -34,6 +35,7 @@ def reachable_targets(
                 f"from the {len(trained)} rows of the data set"
             )
         rows = sample_rows(robot, simulation, seed_for(seed, "reachable targets"), start, _CHUNK)
+        require_rest(rows["converged"], "accuracy: commands that targets are made of")
         poses = rows["pose"][rows["converged"]]
         new = poses[tree.query(poses[:, :3])[0] >= distance][:missing]
         found.append(new)

@@ -13,6 +13,7 @@ from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
 from qjrl.solvers import AdamConfig, LeastSquaresConfig, SolveResult, draw_candidates, solve_adam, solve_least_squares
@@ -96,10 +97,16 @@ def solve_nominal(robot: Robot, targets: np.ndarray, solver: LeastSquaresConfig,
 def settle_answers(
     robot: Robot, simulation: SettleConfig, bank: dict[str, np.ndarray], advance=None
 ) -> dict[str, np.ndarray]:
-    """What the physics makes of both commands of every row: real errors, tension, slack. Keys "nominal_…", "learned_…"."""
+    """What the physics makes of both commands of every row: real errors, tension, slack. Keys "nominal_…", "learned_…".
+
+    Raises:
+        ConfigError: none of a set's answers comes to rest.
+    """
     measured = {}
     for controller in ("nominal", "learned"):
         result = settle(robot, bank[f"{controller}_lengths"], config=simulation, advance=advance)
+        for index, name in enumerate(TARGET_SETS):
+            require_rest(result.converged[bank["target_set"] == index], f"ik: {controller} answers to {name} targets")
         position, orientation = row_errors(result.pose, bank["target"])
         measured |= {
             f"{controller}_pose": result.pose,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.artifacts import append_json_line
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, NotIdentity, Range
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import EnvironmentConfig
@@ -48,7 +48,7 @@ class PolicyConfig:
     """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
     num_judged: Annotated[int, Range(1, 100_000)] = 128
     """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
-    tensorboard: bool = False
+    tensorboard: Annotated[bool, NotIdentity()] = False
     """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
     environment: EnvironmentConfig = EnvironmentConfig()
     ppo: PPOConfig = PPOConfig()
@@ -112,10 +112,14 @@ def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     """Median errors on every set, and over all: by which the policy to keep is chosen."""
     millimetres, is_valid = 1e3 * judgement.position_error, judgement.is_valid
     medians = {
-        f"{name}_median_mm": float(np.median(millimetres[is_valid & (target_set == i)]))
-        for i, name in enumerate(TARGET_SETS)
+        f"{name}_median_mm": _median(millimetres[is_valid & (target_set == i)]) for i, name in enumerate(TARGET_SETS)
     }
-    return medians | {"median_mm": float(np.median(millimetres[is_valid]))}
+    return medians | {"median_mm": _median(millimetres[is_valid])}
+
+
+def _median(values: np.ndarray) -> float:
+    """NaN where no episode is sound: such a checkpoint is never the best."""
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def _physics_rates(env: ResidualEnv, num_envs: int, path: Path) -> Callable[[Record], None]:

@@ -14,7 +14,7 @@ from qjrl.config import Range
 from qjrl.control.sensors import rotation_vectors
 from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import configuration_from_joint_positions
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.stepping import PlantState
 
 
@@ -34,7 +34,7 @@ def is_overloaded(robot: Robot, plant: PlantState) -> jax.Array:
     """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N], loop by loop."""
     loops = plant.strand_tension.reshape(-1, 2)
     stalls = jnp.any(jnp.abs(loops[:, 0] - loops[:, 1]) >= robot.config.motors.force)
-    return stalls | jnp.any(loops >= robot.config.strands.strength)
+    return stalls | jnp.any(is_at_strength(robot, loops))
 
 
 def overloaded_for(robot: Robot, before: jax.Array, plant: PlantState, period: float) -> jax.Array:

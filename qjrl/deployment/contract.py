@@ -9,7 +9,9 @@ import numpy as np
 
 from qjrl.config import as_mapping
 from qjrl.deployment.functions import POSE_NAMES, DeployedFunction, Port, Precision
+from qjrl.deployment.safety import reading_limits
 from qjrl.robot.loading import robot_hash
+from qjrl.robot.plausibility import FARTHEST_TARGET, straight_length
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_strokes
 
 FORMAT = 1
@@ -30,6 +32,8 @@ def robot_contract(robot: Robot) -> dict[str, Any]:
         "cables": _cables(robot),
         "bends": _bends(robot),
         "motors": _motors(robot),
+        "readings": _readings(robot),
+        "targets": _targets(robot),
         "homing": HOMING | {"pretension": _quantity(robot.pretension, "N")},
     }
 
@@ -104,6 +108,27 @@ def _motors(robot: Robot) -> dict[str, Any]:
         "largest_torque": _quantity(robot.motor_force * radius, "N m"),
         "force": "difference of the tensions of a loop's two strands",
         "strand_strength": _quantity(robot.config.strands.strength, "N"),
+    }
+
+
+def _readings(robot: Robot) -> dict[str, Any]:
+    limits = reading_limits(robot)
+    return {
+        "meaning": "each segment's bend theta (cos phi, sin phi); a reading outside these limits is no sound encoder's",
+        "largest_angle": _quantity(limits.angle, "rad"),
+        "largest_speed": _quantity(limits.speed, "rad/s"),
+        "largest_jump": _quantity(limits.jump, "rad"),
+        "rule": "the norm of every segment's reading is at most largest_angle, and that of its difference from the last good "
+        "reading at most largest_jump + largest_speed * the time since",
+    }
+
+
+def _targets(robot: Robot) -> dict[str, Any]:
+    return {
+        "meaning": "position in m, two orthonormal columns of the rotation; what is out of reach gets the nearest pose",
+        "length_of_the_arm": _quantity(straight_length(robot), "m"),
+        "largest_distance": _quantity(FARTHEST_TARGET * straight_length(robot), "m"),
+        "rule": "a position farther from the base than largest_distance is in another unit: refuse it",
     }
 
 

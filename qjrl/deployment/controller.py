@@ -106,6 +106,6 @@ PROTOCOL = {
     "period": "every control period: control_step with all that begin_target gave and took, the carried arrays and the newest "
     "reading (the first reading twice: begin_target, then control_step); motors get motor_angles, next_X is X of the next period",
     "limits": "next_command keeps to the largest motor speed and to the strokes of the cables",
-    "faults": "when a reading is stale or not finite, or an answer not finite: hold the last command, keep the state, go on "
-    "with the next good reading",
+    "faults": "when a reading is stale, not finite or outside `readings`, or an answer not finite: hold the last command, keep "
+    "the state, go on with the next good reading",
 }

@@ -34,9 +34,10 @@ from qjrl.deployment.parity import (
     make_reference,
 )
 from qjrl.keys import seed_for
+from qjrl.provenance import read_provenance
 from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, pose_function
-from qjrl.robot.model_fitting import pose_errors, split_rows
+from qjrl.robot.model_fitting import pose_errors, settled_split
 from qjrl.robot.verbs import Robot
 
 log = logging.getLogger(__name__)
@@ -83,18 +84,15 @@ def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, 
     Args:
         config: the `ForwardModelConfig` of the fit.
     Raises:
-        ArtifactError: the data set is not the one that was fitted.
+        ArtifactError: the data set is not the one that was fitted, or as `settled_rows`.
     """
     fitted_on = (artifacts.done_marker(forward_model) or {}).get("inputs", {}).get("sample")
     if fitted_on != (artifacts.done_marker(dataset) or {}).get("output_hash"):
         raise ArtifactError(
             f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
         )
-    seed = artifacts.load(forward_model / artifacts.PROVENANCE)["seed"]
-    data = artifacts.load(dataset)
-    settled = {name: column[data["converged"]] for name, column in data.items()}
-    _, held_out = split_rows(len(settled["seed"]), config.held_out, seed)
-    return {name: column[held_out] for name, column in settled.items()}
+    seed = read_provenance(forward_model)["seed"]
+    return settled_split(artifacts.load(dataset), config.held_out, seed)[1]
 
 
 def export_controller(

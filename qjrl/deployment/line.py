@@ -7,7 +7,9 @@ import numpy as np
 
 from qjrl.config import Range
 
-NO_FAULT, LOST, CORRUPT = range(3)
+NO_FAULT, LOST, CORRUPT, ABSURD = range(4)
+_ABSURD = 57.3
+"""What an absurd reading is multiplied by, and has added [rad]: finite, as of degrees taken for radians."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,13 +23,14 @@ class FaultConfig:
 
 
 def draw_faults(config: FaultConfig, steps: int, seed: int) -> np.ndarray:
-    """(steps,) what happens to each reading: nothing, lost (the last one is seen again), corrupt (not a number)."""
+    """(steps,) what happens to each reading: nothing, lost (the last one is seen again), corrupt (not a
+    number), absurd (finite, but no arm's)."""
     rng, faults = np.random.default_rng(seed), np.full(steps, NO_FAULT)
     step = 1
     while step < steps:
         if rng.random() < config.rate:
             length = int(rng.integers(1, config.longest + 1))
-            faults[step : step + length] = rng.choice([LOST, CORRUPT])
+            faults[step : step + length] = rng.choice([LOST, CORRUPT, ABSURD])
             step += length
         step += 1
     return faults
@@ -45,5 +48,6 @@ class Line:
         fault = self.faults[step]
         if fault == LOST and self._last is not None:
             return self._last
-        self._last = (np.full_like(reading, np.nan) if fault == CORRUPT else reading, time)
+        changed = {CORRUPT: np.full_like(reading, np.nan), ABSURD: _ABSURD * (1.0 + np.asarray(reading))}
+        self._last = (changed.get(int(fault), reading), time)
         return self._last

@@ -16,7 +16,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from qjrl import artifacts
+from qjrl import artifacts, plain_json
 
 TRAINING, ENVIRONMENT, IDENTITY = "training", "environment", "identity.json"
 
@@ -48,7 +48,22 @@ def open_checkpoints(directory: Path, identity: str, minimise: str | None = None
         ),
         **ranking,
     )
-    return ocp.CheckpointManager(directory.absolute(), options=options)
+    return _Checkpoints(directory.absolute(), options=options, minimise=minimise)
+
+
+class _Checkpoints(ocp.CheckpointManager):
+    """Never takes a checkpoint for the best of which nothing is known."""
+
+    def __init__(self, *arguments: Any, minimise: str | None, **options: Any):
+        super().__init__(*arguments, **options)
+        self._minimise = minimise
+
+    def best_step(self) -> int | None:
+        """The step with the smallest metric; None: no checkpoint has a finite one."""
+        step = super().best_step()
+        if step is None or self._minimise is None:
+            return step
+        return step if math.isfinite(_score_of(self._minimise)(self.metrics(step) or {})) else None
 
 
 def save(
@@ -83,6 +98,26 @@ def restore_environment(checkpoints: ocp.CheckpointManager, step: int) -> dict[s
     return _unpacked(restored[ENVIRONMENT]["npz"])
 
 
+def chosen(checkpoints: ocp.CheckpointManager, minimise: str) -> int:
+    """The best step, to use.
+
+    Raises:
+        ArtifactError: no checkpoint has a finite metric, so that the choice would be blind.
+    """
+    step = checkpoints.best_step()
+    if step is None:
+        raise no_choice(Path(checkpoints.directory), minimise)
+    return step
+
+
+def no_choice(directory: Path, minimise: str) -> artifacts.ArtifactError:
+    """The error of a training of which no checkpoint is worth anything."""
+    return artifacts.ArtifactError(
+        f"{directory}: no checkpoint has a finite {minimise}, so none can be chosen; data or simulation are unsound: look into "
+        "progress.jsonl beside it"
+    )
+
+
 def rewind_log(path: Path, counter: str, last: int) -> list[dict[str, Any]]:
     """Cuts a `.jsonl` log back to a restored checkpoint: no record after `last`, no half-written line.
 
@@ -95,16 +130,19 @@ def rewind_log(path: Path, counter: str, last: int) -> list[dict[str, Any]]:
             record = json.loads(line)
         except ValueError:
             break
-        if record[counter] > last:
+        if not isinstance(record, dict) or not isinstance(record.get(counter), int | float) or record[counter] > last:
             break
         kept.append(record)
-    artifacts.write_bytes(path, "".join(json.dumps(record) + "\n" for record in kept).encode())
+    artifacts.write_bytes(path, "".join(plain_json.dumps(record) + "\n" for record in kept).encode())
     return kept
 
 
 def _check_identity(directory: Path, identity: str) -> None:
     path = directory / IDENTITY
-    if path.exists() and artifacts.load(path)["identity"] != identity:
+    if (
+        path.exists()
+        and artifacts.read_record(path, {"identity": str}, "the identity of a training")["identity"] != identity
+    ):
         raise artifacts.ArtifactError(
             f"{directory}: holds a training with another configuration or data; remove it to start afresh"
         )
@@ -113,7 +151,7 @@ def _check_identity(directory: Path, identity: str) -> None:
 
 def _score_of(name: str) -> Any:
     def score(metrics: Mapping[str, float | None]) -> float:
-        value = metrics[name]
+        value = metrics.get(name)
         return value if value is not None and math.isfinite(value) else math.inf  # NaN has no place in a sort
 
     return score

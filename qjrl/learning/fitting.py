@@ -139,7 +139,8 @@ def fit(
         num_members: networks fitted together by vmap; number i is the plain fit of `member_seed(seed, i)`.
     Raises:
         TrainingDiverged: the training loss is not finite.
-        ArtifactError: the directory holds a fit with another configuration or other data.
+        ArtifactError: the directory holds a fit with another configuration or other data, or every checkpoint's metric is not
+            finite.
     """
     rows, mean, std = _prepare(*data)
     steps_per_epoch = _steps_per_epoch(config, len(rows.inputs))
@@ -171,7 +172,7 @@ def fit(
                 if epoch % config.evaluate_every == 0 or epoch == config.epochs:
                     ckpt.save(checkpoints, epoch, state, evaluated(state, epoch, train_loss))
                 advance(1, note=log.note(minimise))
-        best = checkpoints.best_step()
+        best = ckpt.chosen(checkpoints, minimise)
         fitted = FittedNetwork(ckpt.restore(checkpoints, best, state).parameters, mean, std, num_members)
         return FitResult(fitted, best, dict(checkpoints.metrics(best)))
 

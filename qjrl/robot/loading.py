@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from qjrl.artifacts import hash_of
-from qjrl.config import ConfigError, as_mapping, build, conf_folder, known_names, read_yaml
+from qjrl.config import ConfigError, as_mapping, build, conf_folder, known_names, read_literal_yaml
 from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
 
 # kind -> (what its YAML may hold, the pytree made of it)
@@ -27,7 +27,7 @@ def load_robot(name_or_path: str | Path) -> QuaternionArm:
             raise ConfigError(
                 f"robot: got {str(name_or_path)!r}, allowed: the path of a .yaml file or a shipped name; {known}"
             )
-    return robot_from_mapping(read_yaml(path))
+    return robot_from_mapping(read_literal_yaml(path))
 
 
 def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:

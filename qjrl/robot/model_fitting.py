@@ -19,6 +19,7 @@ from qjrl.robot.forward_model import (
     pose_function,
 )
 from qjrl.robot.model_uncertainty import calibrate
+from qjrl.robot.settled_rows import settled_rows
 from qjrl.robot.verbs import Robot, bends_from_cables
 
 Rows = Mapping[str, np.ndarray]
@@ -78,8 +79,12 @@ def fit_rows(
 
 
 def settled_split(data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """The settled rows of a data set, to fit and to hold out."""
-    settled = _take(dict(data), np.flatnonzero(data["converged"]))
+    """The settled rows of a data set, to fit and to hold out.
+
+    Raises:
+        ArtifactError: as `settled_rows`.
+    """
+    settled = settled_rows(data)
     fitted_rows, held_out_rows = split_rows(len(settled["seed"]), held_out, seed)
     return _take(settled, fitted_rows), _take(settled, held_out_rows)
 

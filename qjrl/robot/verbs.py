@@ -1,5 +1,7 @@
 """The verbs every kind of robot may offer, dispatched on `robot.kind`."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 
@@ -20,6 +22,7 @@ VERBS = {
         "strand_commands": cables.strand_commands,
         "equilibrium": statics.equilibrium,
         "strand_tension": statics.strand_tension,
+        "is_at_strength": statics.is_at_strength,
         "joint_positions": coordinates.joint_positions,
         "configuration_from_joint_positions": coordinates.bends_from_joint_positions,
         "build_mjcf": mjcf.build_mjcf,
@@ -71,6 +74,11 @@ def equilibrium(robot: Robot, lengths: jax.Array) -> Equilibrium:
 def strand_tension(robot: Robot, lengths: jax.Array, steps: int = statics.STEPS) -> jax.Array:
     """Tension (num_strands,) [N] of a robot as described that rests at cable lengths (num_cables,) [m], without simulation."""
     return _verb(robot, "strand_tension")(robot, lengths, steps)
+
+
+def is_at_strength(robot: Robot, tension: Any) -> Any:
+    """Whether strands of tensions (...,) [N] are at their strength: the real ones would break."""
+    return _verb(robot, "is_at_strength")(robot, tension)
 
 
 def joint_positions(robot: Robot, configuration: jax.Array) -> jax.Array:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest, remove_unfinished
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, NotIdentity, Range
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot
@@ -29,7 +29,7 @@ class SampleConfig:
 
     num_samples: Annotated[int, Range(1, 100_000_000)] = 8192
     """Rows of the data set; powers of two are the most even."""
-    shard_size: Annotated[int, Range(1, 1_000_000)] = 1024
+    shard_size: Annotated[int, Range(1, 1_000_000), NotIdentity()] = 1024
     """Rows settled and written at once: what an interruption can cost."""
     shard: Annotated[int, Range(0, 9999)] | None = None
     """Which of `num_shards` equal parts of the rows this process makes, counted from 0; null = all of them."""

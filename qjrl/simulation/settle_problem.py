@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import NotIdentity, Range
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 
 Backend = Literal["mujoco", "mjx", "mjx-warp"]
@@ -34,9 +34,9 @@ class SettleConfig:
     """What does not rest by then is flagged [s of simulated time]."""
     damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 10.0
     """Joint damping while settling, times the robot's: the equilibrium stays, the oscillation does not."""
-    batch_size: Annotated[int, Range(low=1, high=65536)] = 256
-    """Simulations side by side."""
-    num_threads: Annotated[int, Range(low=0, high=1024)] = 0
+    batch_size: Annotated[int, Range(low=1, high=65536), NotIdentity(lambda config: config.backend == "mujoco")] = 256
+    """Simulations side by side. C MuJoCo settles a row alone; compiled for another size, MJX may differ in the last bits."""
+    num_threads: Annotated[int, Range(low=0, high=1024), NotIdentity()] = 0
     """Threads of C MuJoCo; 0 = all cores."""
 
     def __post_init__(self):

@@ -8,6 +8,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.robot.plausibility import check_cable_lengths
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.row_by_row import row_by_row
@@ -67,7 +68,7 @@ def settle(
         config: tolerances, limits and sizes; default `SettleConfig()`.
         advance: called with the number of newly settled rows (a progress bar).
     Raises:
-        ValueError: wrong shape, non-finite lengths, unknown backend.
+        ValueError: wrong shape, non-finite lengths or such as no cable of the robot can have, unknown backend.
     """
     config = config or SettleConfig()
     if backend is not None:
@@ -79,6 +80,7 @@ def settle(
         raise ValueError(f"cable_lengths: got shape {lengths.shape}, allowed: (n, {robot.num_cables})")
     if not np.all(np.isfinite(lengths)):
         raise ValueError("cable_lengths: got non-finite values, allowed: finite lengths [m]")
+    check_cable_lengths(robot, lengths)
     problem = nominal_problem(robot, lengths)
     raw = _load_backend(config.backend)(robot, problem, config, advance or (lambda count: None))
     return _describe(robot, raw)

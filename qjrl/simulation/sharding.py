@@ -2,10 +2,12 @@
 
 import dataclasses
 import itertools
+import shutil
 from pathlib import Path
 from typing import Any
 
 from qjrl.artifacts import MANIFEST, ArtifactError, hash_of_file, place_copy, read_manifest, write_json
+from qjrl.kept import is_kept
 from qjrl.simulation.sampling import differences
 
 
@@ -40,7 +42,7 @@ def join_parts(parts: Path, directory: Path, robot_hash: str, settings: dict[str
     Raises:
         ArtifactError: a part is of another robot or other settings, damaged, or rows are missing or there twice.
     """
-    manifests = {part: read_manifest(part, robot_hash) for part in _part_directories(parts)}
+    manifests = {part: read_manifest(part, robot_hash) for part in part_directories(parts)}
     for part, manifest in manifests.items():
         if unlike := differences(manifest["settings"], settings):
             raise ArtifactError(f"{part}: was made with another configuration: {unlike}; {_way_out(parts)}")
@@ -50,10 +52,17 @@ def join_parts(parts: Path, directory: Path, robot_hash: str, settings: dict[str
     _place(directory, shards, next(iter(manifests.values())))
 
 
-def _part_directories(parts: Path) -> list[Path]:
-    """The parts that hold rows; what was moved out of a part's way is none."""
-    found = sorted(path.parent for path in parts.glob(f"*/{MANIFEST}"))
-    return [part for part in found if part.suffix != ".previous"]
+def part_directories(parts: Path) -> list[Path]:
+    """The parts that hold rows; what made room for a part is none."""
+    return [path.parent for path in sorted(parts.glob(f"*/{MANIFEST}")) if not is_kept(path.parent)]
+
+
+def remove_parts(parts: Path) -> None:
+    """Removes the parts, once the data set that was made of them stands; what made room for one of them stays."""
+    for part in part_directories(parts):
+        shutil.rmtree(part, ignore_errors=True)
+    if not any(path.is_dir() for path in parts.iterdir()):
+        shutil.rmtree(parts, ignore_errors=True)
 
 
 def _check_each_row_once(parts: Path, shards: list[_Shard], num_samples: int) -> None:

@@ -13,7 +13,7 @@ from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, str
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube, planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SLACK_TENSION, motor_force
@@ -115,9 +115,10 @@ def _warnings_of_physics(robot: Robot, physics: dict[str, Any]) -> list[str]:
     config, lines = robot.config, []
     if physics["slack_share"] > 0.0:
         lines.append(f"{100 * physics['slack_share']:.1f} % of the strands are slack: more pretension, or a tensioner")
-    if physics["tension"][2] > config.strands.strength:
+    if is_at_strength(robot, physics["tension"][2]):
         lines.append(
-            f"strand tension reaches {physics['tension'][2]:.0f} N, above its strength {config.strands.strength:.0f} N"
+            f"strand tension reaches {config.strands.strength:g} N, its strength: the strand would break, what it needs is "
+            "more than this"
         )
     if physics["largest_motor_force"] > config.motors.force:
         lines.append(

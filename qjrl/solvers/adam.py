@@ -69,7 +69,7 @@ def solve_adam(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations.
     """
-    checked, compiled = check_targets(targets), _compile(model, config)
+    checked, compiled = check_targets(robot, targets), _compile(model, config)
     candidates = compiled.candidates(robot, jax.random.key(seed))
 
     lengths, steps = np.zeros((len(checked), robot.num_cables)), np.zeros(len(checked), int)

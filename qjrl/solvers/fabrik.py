@@ -59,7 +59,7 @@ def solve_fabrik(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
-    checked, ends = check_targets(targets), watch_fabrik(robot, targets, initial_bends, config)
+    checked, ends = check_targets(robot, targets), watch_fabrik(robot, targets, initial_bends, config)
     function = functools.partial(_judge_rows, config, robot)
     return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, ends))
 
@@ -93,7 +93,7 @@ def watch_fabrik(
         targets: (n, 9) poses [m, -].
         initial_bends: as for `solve_fabrik`.
     """
-    checked = check_targets(targets)
+    checked = check_targets(robot, targets)
     home = np.zeros((robot.num_segments, 2))
     bends = check_initial_bends(robot, home if initial_bends is None else initial_bends, len(checked))
     state = in_batches(functools.partial(_begin_rows, config, robot), config.batch_size, bends)

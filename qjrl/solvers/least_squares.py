@@ -96,7 +96,7 @@ def solve_least_squares(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
-    checked = check_targets(targets)
+    checked = check_targets(robot, targets)
     candidates = candidates or draw_candidates(robot, config)
     if model is not None and initial_bends is None:
         initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends

@@ -9,6 +9,7 @@ from flax import struct
 
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions
 from qjrl.robot.verbs import Robot, bends_from_cables, strand_tension
 
 
@@ -49,11 +50,12 @@ class SolveResult:
     0: a strand is slack, and the pose hangs on the others."""
 
 
-def check_targets(targets) -> np.ndarray:
+def check_targets(robot: Robot, targets) -> np.ndarray:
     """Targets as float64 (n, 9).
 
     Raises:
-        ValueError: wrong shape, non-finite values, or columns that are not those of a rotation.
+        ValueError: wrong shape, non-finite values, columns that are not those of a rotation, or a position so far away that
+            there is no sense in the nearest answer.
     """
     targets = np.asarray(targets, np.float64)
     if targets.ndim != 2 or targets.shape[1] != 9 or len(targets) == 0:
@@ -69,6 +71,7 @@ def check_targets(targets) -> np.ndarray:
         raise ValueError(
             f"targets: row {int(np.argmax(is_off))} is no rotation: its two columns must be orthonormal to 1e-3"
         )
+    check_positions(robot, targets[:, :3], "targets", FARTHEST_TARGET)
     return targets
 
 

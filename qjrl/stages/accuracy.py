@@ -21,6 +21,7 @@ from qjrl.control.studies.feedback import Corrected
 from qjrl.control.studies.open_loop import CONTROLLERS
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.forward_model import PoseFunction, load_pose_function
+from qjrl.robot.settled_rows import settled_rows
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.solvers import count_statuses
@@ -42,7 +43,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot, settings = robot_from_mapping(config.robot), config.accuracy
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
-    trained = data["pose"][data["converged"]]
+    trained = settled_rows(data)["pose"]
     with progress.track(settings.num_targets, "reaching for targets") as advance:
         find = lambda: reachable_targets(  # noqa: E731
             robot, config.simulation, trained, settings.num_targets, settings.distance, config.seed, advance

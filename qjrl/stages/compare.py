@@ -19,6 +19,8 @@ from qjrl.control.comparison import compare_controllers
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
+from qjrl.plain_json import numbers_again
+from qjrl.provenance import read_provenance
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
@@ -51,7 +53,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         outcome_of(name, target_set, one.position_error, one.orientation_error, one.strand_tension, left_out)
         for (target_set, name), (one, left_out) in judged.items()
     ]
-    trained = artifacts.load(inputs["policy"] / "metrics.json")
+    trained = numbers_again(artifacts.load(inputs["policy"] / "metrics.json"))
     verdict = _verdict(config, outcomes, trained)
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
     artifacts.write_json(
@@ -96,7 +98,7 @@ def _report(
 ) -> Report:
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     fitted, inverted, trained = (
-        artifacts.load(inputs[stage] / "metrics.json") for stage in ("forward_model", "ik", "policy")
+        numbers_again(artifacts.load(inputs[stage] / "metrics.json")) for stage in ("forward_model", "ik", "policy")
     )
     verdict = _verdict(config, outcomes, trained)
     unsettled = int(np.sum(~data["converged"]))
@@ -111,13 +113,22 @@ def _report(
             sections.results_section(outcomes, _RESULTS_TEXT, config.robot["strands"]["pretension"]),
             _arm_section(robot, targets),
             sections.sample_section(robot, data),
-            sections.forward_model_section(fitted, artifacts.load(inputs["forward_model"] / "progress.jsonl")),
+            sections.forward_model_section(
+                fitted, numbers_again(artifacts.load(inputs["forward_model"] / "progress.jsonl"))
+            ),
             sections.ik_section(targets, inverted, TARGET_SETS),
             _policy_section(inputs["policy"], trained),
         ),
-        durations={stage: artifacts.load(path / artifacts.DONE)["seconds"] for stage, path in inputs.items()},
-        provenance=artifacts.load(out / artifacts.PROVENANCE),
+        durations={
+            stage: artifacts.read_record(path / artifacts.DONE, {"seconds": int | float}, "a done-marker")["seconds"]
+            for stage, path in inputs.items()
+        },
+        provenance=read_provenance(out),
     )
+
+
+def _seconds(directory: Path) -> float:
+    return artifacts.read_record(directory / artifacts.DONE, {"seconds": int | float}, "a done-marker")["seconds"]
 
 
 def _summary(outcomes: list[Outcome], fitted: dict, trained: dict) -> tuple[Number, ...]:
@@ -157,7 +168,7 @@ def _policy_section(directory: Path, trained: dict):
     )
     name, start = ("base", trained["base"]) if "base" in trained else ("untrained policy", trained["untrained"])
     return sections.policy_section(
-        artifacts.load(directory / "progress.jsonl"),
+        numbers_again(artifacts.load(directory / "progress.jsonl")),
         {"evaluation/uniform_median_mm": "uniform bends", "evaluation/near_home_median_mm": "near home"},
         {
             f"{name}, uniform bends": start["uniform_median_mm"],

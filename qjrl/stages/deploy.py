@@ -29,9 +29,10 @@ from qjrl.deployment.controller_parity import Rehearsal
 from qjrl.deployment.deploy import DeployConfig, deploy
 from qjrl.deployment.real_time import Schedule
 from qjrl.deployment.recording import Record, as_record, flagged, load_record, replay, timing
-from qjrl.deployment.safety import ASKED, SafeController
+from qjrl.deployment.safety import ASKED, SafeController, reading_limits
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
+from qjrl.provenance import read_provenance
 from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
@@ -75,10 +76,11 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     targets = _targets(config, robot, artifacts.load(inputs["ik"] / "held_out.npz"))
     arm = SimulatedArm(robot, environment.randomisation, config.simulation.timestep, config.seed)
     export = _export(config, robot, environment, policy, arm, targets)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     about = as_mapping(environment.controller) | {"base": config.policy.base, "largest_age": settings.largest_age}
     write_controller(export, robot, settings.files, about, provenance, out)
-    controller = SafeController(export.controllers["control_step.stablehlo"], settings.largest_age)
+    files = export.controllers["control_step.stablehlo"]
+    controller = SafeController(files, settings.largest_age, reading_limits(robot), environment.control_period)
     record = recorded or _play(config, robot, environment, controller, arm, targets)
     artifacts.write_arrays(out / "log.npz", record)
     position, orientation = row_errors(record["pose"], record["target"][record["episode"]])
@@ -170,7 +172,7 @@ def _play(
         for played in deploy(controller, arm, targets, schedule, settings, config.seed, show):
             episodes.append(played)
             advance(steps)
-    return as_record(episodes, targets, period, robot_hash(robot))
+    return as_record(episodes, targets, period, robot_hash(robot), controller.limits)
 
 
 def _episodes(record: Record, position: np.ndarray, orientation: np.ndarray, scored_steps: int) -> list[dict]:

@@ -4,9 +4,10 @@ import dataclasses
 import logging
 from pathlib import Path
 
-from qjrl import artifacts, progress
+from qjrl import progress
 from qjrl.deployment import onnx_model
 from qjrl.deployment.export import ExportConfig, export_controller, held_out_rows, write_export
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model
 
@@ -32,7 +33,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     held_out = held_out_rows(inputs["sample"], inputs["forward_model"], model.config)
     with progress.compiling("the exported functions and their checks"):
         export = export_controller(robot, model, config.export, held_out, config.seed)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     write_export(export, robot, config.export.precision, provenance, out)
     for file, report in export.metrics["parity"].items():
         log.info("export: %s", _line(file, report))

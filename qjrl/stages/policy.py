@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import math
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, train_policy
 from qjrl.learning import processes
+from qjrl.plain_json import numbers_again
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import EngineConfig
@@ -35,12 +37,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     trained = train_policy(robot, config.engine, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return
-    records = artifacts.load(out / "progress.jsonl")
+    records = numbers_again(artifacts.load(out / "progress.jsonl"))
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     physics_rate = float(
         np.median([record["physics_steps_per_second"] for record in artifacts.load(out / PHYSICS_RATES)])
     )
-    judged = [record for record in records if "evaluation/median_mm" in record]
+    judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
         "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
@@ -63,3 +65,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         100.0 * metrics["share_of_physics_rate"],
         metrics["physics_steps_per_second"],
     )
+
+
+def _is_finite(value: float | None) -> bool:
+    """False: no episode of that checkpoint was sound; it was not chosen."""
+    return value is not None and math.isfinite(value)

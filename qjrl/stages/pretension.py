@@ -15,9 +15,10 @@ from qjrl.analysis.tables import as_text
 from qjrl.control.tension import pretension as search
 from qjrl.control.tension import pretension_numbers as numbers
 from qjrl.control.tension.check import TensionCheck, check_tension
-from qjrl.control.tension.path import read_path
+from qjrl.control.tension.path import cable_quantity, read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
@@ -55,11 +56,11 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     shown = {pretension: checks[pretension] for pretension in dict.fromkeys((float(robot.pretension), choice.at))}
     metrics = numbers.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
     artifacts.write_json(out / "metrics.json", metrics)
-    artifacts.write_arrays(out / "tensions.npz", _arrays(found, choice))
+    artifacts.write_arrays(out / "tensions.npz", _arrays(robot, found, choice))
     pictures = _pictures(robot, config, metrics, shown)
     for name, (figure, _) in pictures.items():
         save_png(figure, out / f"{name}.png", dpi=110)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     write_report(out / "report.html", report.pretension_report(metrics, pictures, provenance))
     log.info("%s\n", as_text(report.curve_table(metrics)))
     log.info("as described: %s", metrics["own"]["message"] or "every pose is safe")
@@ -80,9 +81,10 @@ def _on_fresh_poses(robot: Robot, config: Config, pretension: float) -> dict:
     return {"fresh": numbers.point_of(pretension, check, poses) | {"poses": len(poses), "message": check.message}}
 
 
-def _arrays(found: search.Survey, choice: search.Choice) -> dict[str, np.ndarray]:
+def _arrays(robot: Robot, found: search.Survey, choice: search.Choice) -> dict[str, np.ndarray]:
     return {
         "cable_lengths": found.poses.cable_lengths,
+        "cable_names": np.array(cable_quantity(robot).columns),
         "bends": found.poses.bends,
         "pretension": np.array(list(found.checks)),
         "lowest_tension": found.lowest_tension,

@@ -2,7 +2,6 @@
 
 import dataclasses
 import logging
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from qjrl import artifacts, progress
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.simulation.sampling import SampleConfig, num_rows, row_settings, rows_done, sample_dataset
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.sharding import join_parts
+from qjrl.simulation.sharding import join_parts, part_directories, remove_parts
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +45,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot = robot_from_mapping(config.robot)
     total, identity = num_rows(config.sample), robot_hash(robot)
     parts = artifacts.parts_of(out)
-    if config.part is None and parts.exists():
+    if config.part is None and part_directories(parts):
         _join(config, parts, out, identity)
     with progress.track(total, "settling", already=rows_done(out, identity)) as advance:
         sample_dataset(robot, config.simulation, config.sample, config.seed, out, advance)
@@ -61,4 +60,4 @@ def _join(config: Config, parts: Path, out: Path, identity: str) -> None:
         settings = row_settings(config.simulation, config.sample.home_share, config.seed)
         join_parts(parts, out, identity, settings, config.sample.num_samples)
         log.info("sample: joined the rows of %s", parts.name)
-    shutil.rmtree(parts, ignore_errors=True)
+    remove_parts(parts)

@@ -14,11 +14,13 @@ from qjrl.analysis.tracking.figures import track_pictures
 from qjrl.analysis.tracking.report import headline, track_report
 from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
 from qjrl.analysis.tracking.viewer import track_viewer
+from qjrl.control.tension.path import cable_quantity
 from qjrl.control.tracking.moving import moving_breaches, moving_message
 from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot
@@ -36,7 +38,8 @@ class Config:
     seed: int
 
     def __post_init__(self):
-        make_path(self.track.path, self.track.shape)  # a file that is no path is refused before any work
+        # a file that is no path of this arm is refused before any work
+        make_path(self.track.path, self.track.shape, robot=robot_from_mapping(self.robot))
         substeps_of(self.track.period, self.simulation.timestep)
 
     @property
@@ -69,7 +72,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     animation = track_viewer(robot, *_movie(judged["planned"]), plan.path.pose[:, :3])
     for name, (figure, _) in drawn.items():
         save_png(figure, out / f"{name}.png", dpi=110)
-    artifacts.write_arrays(out / "trajectory.npz", _columns(settings, plan, judged["planned"]))
+    artifacts.write_arrays(out / "trajectory.npz", _columns(robot, settings, plan, judged["planned"]))
     artifacts.write_json(out / "metrics.json", metrics)
     page = track_report(
         f"Path {settings.path} on {robot.name}",
@@ -77,7 +80,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         settings.accepted_error,
         animation,
         drawn,
-        artifacts.load(out / artifacts.PROVENANCE),
+        read_provenance(out),
     )
     write_report(out / "track.html", page)
     log.info("%s", as_text(tracking_table(metrics["played"])))
@@ -158,11 +161,12 @@ def _movie(main: Judged) -> tuple[np.ndarray, np.ndarray]:
     return main.played.time[shown], main.played.joint_positions[shown]
 
 
-def _columns(settings: TrackConfig, plan: Plan, main: Judged) -> dict[str, np.ndarray]:
+def _columns(robot: Robot, settings: TrackConfig, plan: Plan, main: Judged) -> dict[str, np.ndarray]:
     times, trajectory, played = command_times(plan.trajectory, settings.period), plan.trajectory, main.played
     return {
         "time": times,
         "cable_lengths": trajectory.at(times),
+        "cable_names": np.array(cable_quantity(robot).columns),
         "planned_pose": plan.path.at(trajectory.distances(times)),
         "lead": np.array(main.performance.lead),
         "played_time": played.time,

@@ -11,6 +11,7 @@ from qjrl.analysis.tables import as_text
 from qjrl.analysis.workspace import comparison
 from qjrl.analysis.workspace.report import workspace_figures, workspace_report
 from qjrl.analysis.workspace.survey import WorkspaceConfig, measure_workspaces, num_poses, robot_of
+from qjrl.provenance import read_provenance
 from qjrl.robot import robot_hash
 
 log = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     pictures = workspace_figures(settings, workspaces)
     for name, (figure, _) in pictures.items():
         save_png(figure, out / f"{name}.png", dpi=110)
-    provenance = artifacts.load(out / artifacts.PROVENANCE)
+    provenance = read_provenance(out)
     write_report(out / "report.html", workspace_report(settings, workspaces, pairs, pictures, provenance))
     for table in (
         comparison.volume_table(workspaces),

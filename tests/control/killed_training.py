@@ -6,11 +6,11 @@ import sys
 from pathlib import Path
 
 import jax
+from qjrl.learning.ppo.imitation import ImitationConfig
 from test_policy_training import POLICY, columns
 from worlds import ARM
 
 from qjrl.control.policy_training import train_policy
-from qjrl.learning.ppo.imitation import ImitationConfig
 from qjrl.simulation.settle_problem import SettleConfig
 
 PPO = dataclasses.replace(

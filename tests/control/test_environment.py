@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from qjrl.learning.ppo.training_state import initial_state, policy_of
 from worlds import (
     ARM,
     CONFIG,
@@ -28,7 +29,6 @@ from qjrl.control.tip_correction import IntegralConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv, advice_of
 from qjrl.learning.ppo.iteration import compile_functions
-from qjrl.learning.ppo.training_state import initial_state, policy_of
 from qjrl.simulation.stepping import MujocoStepper
 
 PERIOD = CONFIG.control_period

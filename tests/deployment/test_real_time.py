@@ -8,16 +8,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from controllers import PERIOD, STEPS, arm, exported, targets
+from controllers import ARM, PERIOD, STEPS, arm, exported, targets
 
 from qjrl import artifacts
 from qjrl.artifacts import ArtifactError
 from qjrl.deployment.deploy import DeployConfig, deploy
-from qjrl.deployment.line import CORRUPT, LOST, NO_FAULT, FaultConfig, Line, draw_faults
+from qjrl.deployment.line import ABSURD, CORRUPT, LOST, NO_FAULT, FaultConfig, Line, draw_faults
 from qjrl.deployment.live_view import live_view
 from qjrl.deployment.real_time import Clock, Schedule, on_one_core, play
 from qjrl.deployment.recording import as_record, flagged, load_record, replay, timing
-from qjrl.deployment.safety import BAD_ANSWER, GOOD, NOT_FINITE, STALE, SafeController
+from qjrl.deployment.safety import (
+    BAD_ANSWER,
+    BEYOND_STOP,
+    FLAGS,
+    GOOD,
+    NOT_FINITE,
+    STALE,
+    TOO_FAST,
+    SafeController,
+    reading_limits,
+)
 
 READING, AGE = np.zeros((2, 2)), 0.0
 
@@ -63,6 +73,26 @@ def test_bad_readings_hold_the_last_command_and_good_ones_go_on():
     answers = [controller.step(*one) for one in asked]
     assert [flag for _, flag in answers] == [GOOD, STALE, NOT_FINITE, STALE, GOOD, BAD_ANSWER, GOOD]
     assert [command[0] for command, _ in answers] == [1.0, 1.0, 1.0, 1.0, 2.0, 2.0, 4.0]
+
+
+def test_a_finite_reading_that_no_arm_can_have_holds_the_last_command():
+    limits, random = reading_limits(ARM), np.random.default_rng(0)
+    stop = np.radians(ARM.config.joint.bend_limit_deg + ARM.config.joint.stop_margin_deg)
+    assert stop < limits.angle < 1.2 * stop and 0.5 < limits.speed < 20.0
+    for absurd in [10.0, np.pi, 1e6, 1e30, 3e38, 1e39, 1e308, *10.0 ** random.uniform(0.3, 300.0, 40)]:
+        controller = SafeController(Counting(), 0.015, limits, 0.02)
+        controller.begin(np.zeros(9), np.zeros(4))
+        reading = random.choice([-1.0, 1.0], (2, 2)) * absurd
+        answers = [controller.step(one, AGE) for one in (READING, reading, READING)]
+        assert [flag for _, flag in answers] == [GOOD, BEYOND_STOP, GOOD]
+        assert [command[0] for command, _ in answers] == [1.0, 1.0, 2.0]
+    for rate, flag in ((0.9 * limits.speed, GOOD), (limits.speed + 1.1 * limits.jump / 0.02, TOO_FAST)):
+        controller = SafeController(Counting(), 0.015, limits, 0.02)
+        controller.begin(np.zeros(9), np.zeros(4))
+        controller.step(READING, AGE)
+        assert controller.step(np.array([[rate * 0.02, 0.0], [0.0, 0.0]]), AGE)[1] == flag
+    while controller.step(np.array([[1.0, 0.0], [0.0, 0.0]]), AGE)[1] == TOO_FAST:  # it did move: believed in the end
+        pass
 
 
 def test_without_a_good_reading_the_arm_stays_at_home_and_begins_with_the_first_one():
@@ -136,10 +166,11 @@ def test_a_command_in_time_is_held_from_the_begin_of_its_period_and_a_late_one_f
 @pytest.fixture(scope="module")
 def record():
     """Two targets and the first again with faults, with the real files and the real arm."""
-    controller = SafeController(exported().controllers["control_step.stablehlo"], 0.015)
+    files = exported().controllers["control_step.stablehlo"]
+    controller = SafeController(files, 0.015, reading_limits(ARM), PERIOD)
     config = DeployConfig(faults=FaultConfig(0.1, 5))
     episodes = list(deploy(controller, arm(), targets(), schedule(SlowTime(), STEPS), config, seed=1))
-    return as_record(episodes, targets(), PERIOD, "this arm")
+    return as_record(episodes, targets(), PERIOD, "this arm", controller.limits)
 
 
 def test_in_real_time_the_loop_keeps_its_clock():
@@ -155,7 +186,8 @@ def test_the_injected_faults_are_the_flagged_ones_and_the_arm_still_arrives(reco
     flags = record["flag"][rows]
     assert np.all(flags[faults == NO_FAULT] == GOOD) and np.all(flags[faults != NO_FAULT] != GOOD)
     counted = flagged(record, 2)
-    assert counted["good"] + counted["stale"] + counted["not_finite"] == np.sum(rows)
+    assert sum(counted[name] for name in FLAGS) == np.sum(rows)
+    assert counted["beyond_stop"] == np.sum(faults == ABSURD) > 0
     held = np.flatnonzero(rows)[1:][flags[1:] != GOOD]
     np.testing.assert_array_equal(record["command"][held], record["command"][held - 1])
     missing = np.linalg.norm(record["pose"][:, :3] - record["target"][record["episode"], :3], axis=1)
@@ -170,6 +202,13 @@ def test_a_replay_repeats_every_command_bit_for_bit_and_notices_another(record, 
     assert found == {
         "episodes": 3, "steps": len(record["period"]), "command_deviation": 0.0, "flags_that_differ": 0
     }  # fmt: skip
+    old = {name: column for name, column in record.items() if name != "reading_limits"}
+    first = old["episode"] == 0  # nothing was wrong in it: as records were before there were limits
+    old |= {name: old[name][:1] for name in ("target", "base_lengths", "lost_periods", "has_faults")}
+    old |= {name: column[first] for name, column in old.items() if len(np.atleast_1d(column)) == len(first)}
+    artifacts.write_arrays(tmp_path / "old.npz", old)
+    found = replay(controller, load_record(tmp_path / "old.npz", "this arm"))
+    assert (found["command_deviation"], found["flags_that_differ"]) == (0.0, 0)
     other = dict(record) | {"command": record["command"] + 1e-3}
     assert replay(controller, other)["command_deviation"] == pytest.approx(1e-3, rel=1e-3)
 

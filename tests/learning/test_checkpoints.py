@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from qjrl.artifacts import ArtifactError
-from qjrl.learning.checkpoints import open_checkpoints, restore, restore_environment, rewind_log, save
+from qjrl.learning.checkpoints import chosen, open_checkpoints, restore, restore_environment, rewind_log, save
 
 STATE = {"weights": jnp.arange(3, dtype=jnp.float32), "key": jax.random.key(5), "count": jnp.int32(2)}
 
@@ -24,6 +24,16 @@ def test_the_best_and_the_latest_are_kept(tmp_path):
 
 def test_a_metric_that_is_not_a_number_is_never_the_best(tmp_path):
     assert saved_steps(tmp_path, [float("nan"), 2.0, float("nan")]) == ([1, 2], 1)
+
+
+def test_of_metrics_that_are_none_of_them_numbers_nothing_is_chosen(tmp_path):
+    for values in ([float("nan")], [float("inf"), None, float("nan")]):
+        with open_checkpoints(tmp_path / str(len(values)), "same", minimise="error") as checkpoints:
+            for step, error in enumerate(values):
+                save(checkpoints, step, STATE, {"error": error})
+            assert checkpoints.best_step() is None
+            with pytest.raises(ArtifactError, match="no checkpoint has a finite error"):
+                chosen(checkpoints, "error")
 
 
 def test_without_a_metric_the_latest_alone_is_kept(tmp_path):

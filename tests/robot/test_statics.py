@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from qjrl.simulation.minimal_stepping import MinimalStepper
 
 from qjrl.robot import (
     cable_lengths,
@@ -16,7 +17,6 @@ from qjrl.robot import (
     strand_tension,
 )
 from qjrl.simulation import settle
-from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
 
 ARM = arm_named("qj_22")

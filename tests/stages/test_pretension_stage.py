@@ -51,8 +51,8 @@ def test_a_path_that_no_pretension_keeps_is_named(tmp_path):
 def test_another_path_in_the_same_file_runs_the_stage_again(tmp_path, caplog, monkeypatch):
     monkeypatch.setattr(stage, "run", lambda config, inputs, out: None)
     file, robot = tmp_path / "path.csv", read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    for text in ("0,0,0,0\n0.01,0,0.02,0\n", "0,0,0,0\n0.01,0,0.02,0\n", "0,0,0,0\n0.02,0,0.02,0\n"):
-        file.write_text(text)
+    for row in ("0.01,0,0.02,0", "0.01,0,0.02,0", "0.02,0,0.02,0"):
+        file.write_text(f"1,5,3,7\n0,0,0,0\n{row}\n")
         config = stage.Config(robot, SettleConfig(), PretensionConfig(path=str(file)), 0)
         with caplog.at_level("INFO"):
             pipeline.run(["pretension"], {"pretension": config}, tmp_path / "run")
@@ -67,7 +67,7 @@ def test_a_bad_path_is_refused_when_the_configuration_is_built(tmp_path):
     (tmp_path / "short.csv").write_text("0,0,0\n")
     for path, words in {
         "nowhere.csv": "cannot be read",
-        str(tmp_path / "short.csv"): "allowed: 4 cable lengths",
+        str(tmp_path / "short.csv"): "has no header, its first line is numbers",
     }.items():
         with pytest.raises(ConfigError, match=rf"^pretension\.path: .*{words}"):
             build(stage.Config, tree | {"pretension": as_mapping(PretensionConfig()) | {"path": path}})

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from qjrl.simulation.minimal_stepping import MinimalStepper
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
@@ -24,7 +25,6 @@ from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import Policy, save_policy
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation import SettleConfig
-from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.stages import residual
 
 pytestmark = pytest.mark.slow

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from qjrl.simulation.minimal_stepping import MinimalStepper
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
@@ -14,7 +15,6 @@ from qjrl.control.studies.robustness import UNDISTURBED, RobustnessConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.learning.ppo.policy import Policy, save_policy
 from qjrl.robot import cable_lengths, forward_kinematics
-from qjrl.simulation.minimal_stepping import MinimalStepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.stages import robustness as stage
 

@@ -25,6 +25,7 @@ def episode_table(metrics: Mapping[str, Any]) -> Table:
         Column("orientation", 2, "°"),
         Column("stale", 0),
         Column("not finite", 0),
+        Column("implausible", 0),
         Column("longest hold", 0, "periods"),
     )
     rows = tuple(
@@ -34,6 +35,7 @@ def episode_table(metrics: Mapping[str, Any]) -> Table:
             one["orientation_error_deg"],
             one["flags"]["stale"],
             one["flags"]["not_finite"] + one["flags"]["bad_answer"],
+            one["flags"].get("beyond_stop", 0) + one["flags"].get("too_fast", 0),
             one["flags"]["longest_hold"],
         )
         for one in metrics["episodes"]

@@ -15,6 +15,7 @@ from qjrl.geometry.rotations import rotation_y, rotation_z
 from qjrl.robot import forward_kinematics
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
 from qjrl.solvers import SolveResult
@@ -105,6 +106,7 @@ def judge_tension(
     for name, solver in (("any", any_answer), ("wanted", ik.least_squares)):
         answer = solve_model(robot, targets, model, dataclasses.replace(ik, least_squares=solver), seed)
         rest = settle(robot, np.asarray(answer.cable_lengths), config=simulation)
+        require_rest(rest.converged, f"accuracy: answers with {name} tension")
         arrays |= _columns(name, answer)
         arrays |= {
             f"{name}/settled": rest.converged,

@@ -13,6 +13,7 @@ from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_er
 from qjrl.geometry.rotations import rotation_x, rotation_y, rotation_z
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.verbs import Robot, bends_from_cables
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
 from qjrl.solvers import LeastSquaresConfig, solve_least_squares
@@ -68,6 +69,7 @@ def measure_and_correct(
     errors = []
     for number in range(measurements + 1):
         rest = settle(robot, lengths, config=simulation, advance=advance)
+        require_rest(rest.converged, f"accuracy: commands after {number} measurements")
         errors.append([np.where(rest.converged, error, np.nan) for error in row_errors(rest.pose, targets)])
         if number == measurements:
             break

@@ -11,6 +11,7 @@ from qjrl.control.targets import draw_bends, target_poses
 from qjrl.keys import seed_for
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
 from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik
@@ -73,5 +74,6 @@ def run_open_loop(
         robot, model, ik, config.fabrik, targets, seed_for(seed, "targets of the open loop")
     ).items():
         rest = settle(robot, np.asarray(solved.cable_lengths), config=simulation, advance=advance)
+        require_rest(rest.converged, f"open_loop: {name}'s answers to {target_set} targets")
         runs[name] = OpenLoopRun(solved, rest)
     return targets, runs

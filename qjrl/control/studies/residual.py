@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import Range, as_mapping
+from qjrl.config import Range, identity_of
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Act, Judge, Judgement, first_in_time
@@ -26,9 +26,11 @@ from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.rested import require_valid
 
 Arrays = Mapping[str, np.ndarray]
 
+_JUDGED = {"identity": str, "errors": dict}
 RIVAL: Base = "integral"
 
 
@@ -138,9 +140,9 @@ def ablate(
         config, path = variants[name], directory / name.replace(", ", "-").replace(" ", "_")
         done = path / "judged.json"
         identity = artifacts.hash_of(
-            [as_mapping(config), as_mapping(subject.engine), settings.num_targets, subject.seed]
+            [identity_of(config), identity_of(subject.engine), settings.num_targets, subject.seed]
         )
-        if done.exists() and (known := artifacts.load(done))["identity"] == identity:
+        if done.exists() and (known := artifacts.read_record(done, _JUDGED, "an ablation"))["identity"] == identity:
             found[name] = known["errors"]
         else:
             trained = train_policy(subject.robot, subject.engine, config, bank, subject.seed, path)
@@ -162,6 +164,7 @@ def errors_of(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
     found = {}
     for index, name in enumerate(TARGET_SETS):
         rows = judgement.is_valid & (target_set == index)
+        require_valid(rows[target_set == index], f"residual: episodes to {name} targets")
         found[f"{name}_median_mm"] = float(np.median(millimetres[rows]))
         found[f"{name}_p90_mm"] = float(np.percentile(millimetres[rows], 90))
         found[f"{name}_median_deg"] = float(np.median(degrees[rows]))

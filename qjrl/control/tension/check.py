@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 
 from qjrl.robot.quaternion_arm.naming import strand_name
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
 
@@ -67,8 +67,8 @@ class TensionCheck:
 
     @property
     def exceeds_strength(self) -> np.ndarray:
-        """(n, strands) whether a strand breaks. The physics lets none carry more than its strength: reaching it counts."""
-        return (self.rest.strand_tension >= self.robot.config.strands.strength) & self.rest.converged[:, None]
+        """(n, strands) whether a strand breaks."""
+        return is_at_strength(self.robot, self.rest.strand_tension) & self.rest.converged[:, None]
 
     @property
     def is_safe(self) -> np.ndarray:

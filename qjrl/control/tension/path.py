@@ -5,16 +5,16 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from qjrl import artifacts
-from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError
 from qjrl.control.tension.poses import PoseSet
-from qjrl.control.tracking.files import ALLOWED_COLUMNS, FILE_KINDS, POSITION, numbers_of, read_cells
+from qjrl.control.tracking.files import ALLOWED_COLUMNS, POSE_LAYOUTS
 from qjrl.control.tracking.inversion import PathInversionConfig, invert_path
 from qjrl.control.tracking.paths import PosePath, ShapeConfig, make_path
 from qjrl.robot import bends_from_cables, forward_kinematics
+from qjrl.robot.plausibility import LARGEST_PLANNED, check_cable_lengths
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.row_by_row import row_by_row
+from qjrl.table_file import FILE_KINDS, Quantity, column_named, names_in, read_table
 
 _KEY = "pretension.path"
 
@@ -42,63 +42,47 @@ def read_path(robot: Robot, source: str) -> np.ndarray | PosePath:
     """Rows of cable lengths (n, cables) [m], or the path through the poses of a file.
 
     Args:
-        source: `.npz` with `cable_lengths` (n, cables) [m], as a tracked trajectory holds them; `.csv` with one column a
-            cable [m], in the order of the description, with or without a line of names; or what `make_path` reads.
+        source: `.csv` with one column a cable [m], named `cable_3` or `3` for the cable 3, in any order; `.npz` with
+            `cable_lengths` (n, cables) [m], as a tracked trajectory holds them, in the order of its `cable_names` or of the
+            description; or what `make_path` reads.
     Raises:
-        ConfigError: missing file, other columns, non-finite values; one line.
+        ConfigError: missing file, other columns, values that are not finite or that the arm cannot have; one line.
     """
     file = Path(source)
     if file.suffix not in FILE_KINDS:
         raise ConfigError(f"{_KEY}: got '{source}', allowed: a file that ends in {' or '.join(FILE_KINDS)}")
+    cables = cable_quantity(robot)
     try:
-        rows = (_lengths_of_csv if file.suffix == ".csv" else _lengths_of_npz)(robot, file)
-    except (ArtifactError, ConfigError) as error:
-        raise ConfigError(f"{_KEY}: {error}") from error
-    return make_path(source, ShapeConfig(), _KEY) if rows is None else rows
+        if not _holds_cables(file, cables):
+            return make_path(source, ShapeConfig(), _KEY, robot)
+        allowed = f"{','.join(cables.columns)} [m] in any order, or {ALLOWED_COLUMNS}"
+        rows = read_table(file, ((cables,), *POSE_LAYOUTS), allowed) if file.suffix == ".csv" else _of_npz(file, cables)
+        check_cable_lengths(robot, rows["cable_lengths"], str(file), LARGEST_PLANNED)
+    except ConfigError as error:
+        raise error if str(error).startswith(_KEY) else ConfigError(f"{_KEY}: {error}") from error
+    return rows["cable_lengths"]
 
 
-def _lengths_of_csv(robot: Robot, file: Path) -> np.ndarray | None:
-    """None: it holds poses, by its line of names."""
-    cells = read_cells(file)
-    first = cells[0] if cells else []
-    if set(first) & set(POSITION):
-        return None
-    rows = cells if _is_number(first[:1]) else cells[1:]
-    if len(first) != robot.num_cables or not rows:
-        raise ConfigError(
-            f"{file}: holds {len(rows)} rows of {len(first)} columns, allowed: {robot.num_cables} cable lengths [m], or "
-            f"columns named {ALLOWED_COLUMNS}"
-        )
-    return _finite(file, numbers_of(file, rows, robot.num_cables))
+def cable_quantity(robot: Robot) -> Quantity:
+    """Cable lengths in the order of the description, by the cables' names on the machine."""
+    numbers = [number for pair in robot.config.cables.names for number in pair]
+    aliases = {text: f"cable_{number}" for number in numbers for text in (f"{number}", f"c{number}", f"cable {number}")}
+    return Quantity("cable_lengths", tuple(f"cable_{number}" for number in numbers), "m", aliases, "cable_names")
 
 
-def _lengths_of_npz(robot: Robot, file: Path) -> np.ndarray | None:
-    """None: it holds poses, or should."""
-    arrays = artifacts.load(file)
-    if "cable_lengths" not in arrays and {"position", "pose"} & arrays.keys():
-        return None
-    rows = arrays.get("cable_lengths", np.zeros((0, 0)))
-    if rows.ndim != 2 or len(rows) == 0 or rows.shape[1] != robot.num_cables:
-        found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
-        raise ConfigError(
-            f"{file}: holds {found}, allowed: cable_lengths (n, {robot.num_cables}), or position (n, 3) with or without "
-            "quaternion (n, 4), or pose (n, 9)"
-        )
-    return _finite(file, np.asarray(rows, np.float64))
+def _holds_cables(file: Path, cables: Quantity) -> bool:
+    """False: its names are those of poses. A file that names neither is asked for cables, lest its error names one kind alone."""
+    names = names_in(file)
+    if file.suffix == ".npz":
+        return cables.name in names or not {one.name for layout in POSE_LAYOUTS for one in layout} & {*names}
+    quantities = [one for layout in POSE_LAYOUTS for one in layout]
+    return not any(column_named(name, quantities) for name in names)
 
 
-def _is_number(cells: list[str]) -> bool:
-    try:
-        return bool([float(cell) for cell in cells])
-    except ValueError:
-        return False
-
-
-def _finite(file: Path, rows: np.ndarray) -> np.ndarray:
-    is_finite = np.isfinite(rows).all(axis=1)
-    if not is_finite.all():
-        raise ConfigError(f"{file}: got a value that is not finite in row {int(np.argmin(is_finite))} (the first is 0)")
-    return rows
+def _of_npz(file: Path, cables: Quantity) -> dict[str, np.ndarray]:
+    """Cable lengths go before poses, which files of the package hold beside them."""
+    layouts = ((cables,),) if cables.name in names_in(file) else ((cables,), *POSE_LAYOUTS)
+    return read_table(file, layouts, "")
 
 
 def _of_lengths(robot: Robot, lengths: np.ndarray) -> PoseSet:

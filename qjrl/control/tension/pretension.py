@@ -18,6 +18,7 @@ from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.keys import seed_for
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 
 Newtons = Annotated[float, Range(low=0.0, high=1e5)]
@@ -122,11 +123,15 @@ def survey(robot: Robot, config: PretensionConfig, simulation: SettleConfig, pos
 
     Args:
         advance: called with the number of newly settled poses.
+    Raises:
+        ConfigError: no pose rests with the robot's own pretension.
     """
     checks = {
         pretension: _check(robot, config, simulation, pretension, poses.cable_lengths, advance)
         for pretension in curve_of(robot, config)
     }
+    own = checks[float(robot.pretension)].rest.converged
+    require_rest(own, "pretension: poses at the robot's own pretension")
     return Survey(poses, checks)
 
 

@@ -1,6 +1,5 @@
 """Points of a path in a CSV or NPZ file, checked, and the smooth curve through them."""
 
-import csv
 import dataclasses
 import itertools
 from collections.abc import Callable
@@ -10,14 +9,21 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from qjrl import artifacts
-from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError
+from qjrl.robot.plausibility import check_positions
+from qjrl.robot.verbs import Robot
+from qjrl.table_file import Layout, Quantity, read_table
 
-FILE_KINDS = (".csv", ".npz")
-POSITION, QUATERNION, COLUMNS = ["x", "y", "z"], ["qw", "qx", "qy", "qz"], ["xx", "xy", "xz", "yx", "yy", "yz"]
-"""Names of a CSV's columns; COLUMNS are the first two columns of the rotation."""
-ALLOWED_COLUMNS = f"{','.join(POSITION)} [m], alone or with {','.join(QUATERNION)} or with {','.join(COLUMNS)}"
+_AXES, _COLUMNS = ("x", "y", "z"), ("xx", "xy", "xz", "yx", "yy", "yz")
+POSITION = Quantity("position", _AXES, "m")
+QUATERNION = Quantity("quaternion", ("qw", "qx", "qy", "qz"))
+"""Without names, in an NPZ, w comes first."""
+ROTATION = Quantity("rotation", _COLUMNS)
+"""The first two columns of the rotation."""
+POSE = Quantity("pose", ("pose x", "pose y", "pose z", *_COLUMNS))
+"""Of an NPZ: position and rotation in one array."""
+POSE_LAYOUTS: tuple[Layout, ...] = ((POSITION,), (POSITION, QUATERNION), (POSITION, ROTATION), (POSE,))
+ALLOWED_COLUMNS = f"{','.join(_AXES)} [m], alone or with {','.join(QUATERNION.columns)} or with {','.join(_COLUMNS)}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,19 +36,22 @@ class Points:
     """None: the file says nothing about it."""
 
 
-def read_points(path: Path) -> Points:
+def read_points(path: Path, robot: Robot | None = None) -> Points:
     """Points of a file; `make_path` says what it must hold.
 
+    Args:
+        robot: whose reach the positions are held against, where it is known.
     Raises:
         ConfigError: one line that names the file and what is wrong in it.
     """
-    position, turn = (_read_csv if path.suffix == ".csv" else _read_npz)(path)
+    found = read_table(path, POSE_LAYOUTS, ALLOWED_COLUMNS)
+    position, turn = found.get("position"), found.get("quaternion", found.get("rotation"))
+    if position is None:
+        position, turn = found["pose"][:, :3], found["pose"][:, 3:]
     if len(position) < 2:
         raise ConfigError(f"{path}: holds {len(position)} points, allowed: at least 2")
-    for values in (position, turn):
-        if values is not None and not np.isfinite(values).all():
-            row = int(np.argmin(np.isfinite(values).all(axis=1)))
-            raise ConfigError(f"{path}: got a value that is not finite in point {row} (the first is 0)")
+    if robot is not None:
+        check_positions(robot, position, str(path), noun="point")
     points = Points(position, None if turn is None else _rotations(path, turn))
     steps = _steps(points)
     if (steps < 1e-9).any():
@@ -71,64 +80,6 @@ def _steps(points: Points) -> np.ndarray:
     if points.rotation is None:
         return steps
     return np.hypot(steps, 0.1 * (points.rotation[:-1].inv() * points.rotation[1:]).magnitude())
-
-
-def read_cells(path: Path) -> list[list[str]]:
-    """Rows of a CSV, empty lines left out.
-
-    Raises:
-        ConfigError: one line that names the file.
-    """
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            return [[cell.strip() for cell in row] for row in csv.reader(file) if row]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-
-
-def numbers_of(path: Path, rows: list[list[str]], width: int) -> np.ndarray:
-    """Cells as numbers (n, width).
-
-    Raises:
-        ConfigError: a row of another width, or a cell that is no number.
-    """
-    try:
-        return np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, width)
-    except ValueError as error:
-        raise ConfigError(f"{path}: a row does not hold {width} numbers ({error})") from error
-
-
-def _read_csv(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    rows = read_cells(path)
-    header = rows[0] if rows else []
-    turns = [names for names in ([], QUATERNION, COLUMNS) if sorted(header) == sorted(POSITION + names)]
-    if not turns:
-        raise ConfigError(f"{path}: has the columns {','.join(header) or 'of no header'}, allowed: {ALLOWED_COLUMNS}")
-    values = numbers_of(path, rows[1:], len(header))
-    places = [header.index(name) for name in POSITION + turns[0]]
-    return values[:, places[:3]], values[:, places[3:]] if turns[0] else None
-
-
-def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    try:
-        arrays = artifacts.load(path)
-    except ArtifactError as error:
-        raise ConfigError(str(error)) from error
-    shapes = {name: array.shape[1:] for name, array in arrays.items()}
-    if shapes.get("pose") in ((9,), (3,)):
-        pose = np.asarray(arrays["pose"], np.float64)
-        return pose[:, :3], pose[:, 3:] if pose.shape[1] == 9 else None
-    if shapes.get("position") != (3,) or shapes.get("quaternion", (4,)) != (4,):
-        found = ", ".join(f"{name} {array.shape}" for name, array in arrays.items()) or "nothing"
-        raise ConfigError(
-            f"{path}: holds {found}, allowed: position (n, 3) with or without quaternion (n, 4), or pose (n, 9)"
-        )
-    turn = arrays.get("quaternion")
-    if turn is not None and len(turn) != len(arrays["position"]):
-        raise ConfigError(
-            f"{path}: holds {len(arrays['position'])} positions and {len(turn)} quaternions, allowed: as many"
-        )
-    return np.asarray(arrays["position"], np.float64), None if turn is None else np.asarray(turn, np.float64)
 
 
 def _rotations(path: Path, turn: np.ndarray) -> Rotation:

@@ -26,6 +26,7 @@ from qjrl.control.tracking.errors import model_poses, path_errors, pose_residual
 from qjrl.control.tracking.paths import ROTATION_WEIGHT, PosePath
 from qjrl.robot import bends_from_cables
 from qjrl.robot.forward_model import PoseFunction, pose_function
+from qjrl.robot.plausibility import check_positions
 from qjrl.robot.verbs import Robot
 
 
@@ -71,6 +72,7 @@ def invert_path(
     Raises:
         ConfigError: some waypoints cannot be reached; one line that says which, and by how far they are missed.
     """
+    check_positions(robot, path.pose[:, :3], path.key, noun="waypoint")
     pose_of = model or pose_function(robot, None)
     lengths = chained(robot, path, config.num_starts, seed)
     missed = path_errors(path.constraint, model_poses(pose_of, lengths), path.pose)

@@ -8,7 +8,7 @@ import numpy as np
 
 from qjrl.control.tension.check import bearer_name
 from qjrl.control.tracking.playing import Played
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.settling import SLACK_TENSION
 
 Kind = Literal["strength", "motor", "slack"]
@@ -49,8 +49,8 @@ def moving_breaches(robot: Robot, played: Played) -> list[MovingBreach]:
     All times count that were recorded: from the first command to a little after the plan's end.
     """
     config, tension, force = robot.config, played.strand_tension, np.abs(played.motor_force)
-    excess = {  # the physics lets no strand carry more than its strength: reaching it counts
-        "strength": (tension >= config.strands.strength, tension, tension, config.strands.strength),
+    excess = {
+        "strength": (is_at_strength(robot, tension), tension, tension, config.strands.strength),
         "motor": (force > config.motors.force, force, played.motor_force, config.motors.force),
         "slack": (tension < SLACK_TENSION, -tension, tension, SLACK_TENSION),
     }

@@ -10,7 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from qjrl.config import ConfigError, Range
-from qjrl.control.tracking.files import FILE_KINDS, read_points, smooth_curve
+from qjrl.control.tracking.files import read_points, smooth_curve
+from qjrl.robot.verbs import Robot
+from qjrl.table_file import FILE_KINDS
 
 Constraint = Literal["pose", "pointing", "position"]
 """What of a pose counts: all six degrees of freedom, position and direction of the tip's z axis, or position alone."""
@@ -97,21 +99,23 @@ class PosePath:
         return bool(np.allclose(self.pose[0], self.pose[-1], atol=1e-6))
 
 
-def make_path(source: str, config: ShapeConfig, key: str = "track.path") -> PosePath:
+def make_path(source: str, config: ShapeConfig, key: str = "track.path", robot: Robot | None = None) -> PosePath:
     """The waypoints of a path.
 
     Args:
         source: "circle", "line", or a file with at least two points, which a smooth curve joins. A .csv has columns x, y, z
             [m] and, where orientation counts, qw, qx, qy, qz or the first two columns of the rotation xx, xy, xz, yx, yy,
-            yz; an .npz has arrays `position` (n, 3), with or without `quaternion` (n, 4), w first, or `pose` (n, 9).
+            yz, in any order; an .npz has arrays `position` (n, 3), with or without `quaternion` (n, 4), w first, or `pose`
+            (n, 9).
         key: the setting that names it, for messages.
+        robot: whose reach the points of a file are held against before the curve is made.
     Raises:
-        ConfigError: unknown source; the file is missing, has other columns, non-finite values or too few points; or the path is shorter
-            than its spacing.
+        ConfigError: unknown source; the file is missing, has other columns, non-finite values, too few points or some out of
+            reach; or the path is shorter than its spacing.
     """
     file = path_file(source, key)
     try:
-        curve = _SHAPES[source](config) if file is None else smooth_curve(read_points(file))
+        curve = _SHAPES[source](config) if file is None else smooth_curve(read_points(file, robot))
     except ConfigError as error:
         raise ConfigError(f"{key}: {error}") from error
     shape = _Shape(

@@ -57,7 +57,7 @@ def make_plan(
     Raises:
         ConfigError: a path that is no path, that cannot be reached, or that would slacken a strand or exceed a motor.
     """
-    path = make_path(config.path, config.shape)
+    path = make_path(config.path, config.shape, robot=robot)
     cables = invert_path(robot, model, path, config.inversion, seed)
     trajectory = time_path(cables.lengths, float(robot.motor_speed), config.limits, config.speed)
     places = np.linspace(0.0, path.length, _NUM_RESTS)

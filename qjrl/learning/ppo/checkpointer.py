@@ -12,6 +12,7 @@ from jax.sharding import Mesh
 from qjrl import artifacts
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning import processes
+from qjrl.learning.checkpoints import no_choice
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import Policy, load_policy, save_policy
@@ -38,6 +39,7 @@ class Checkpointer:
     config: PPOConfig
     mesh: Mesh
     evaluate: Evaluate | None
+    minimise: str | None
     callbacks: list[Callable[[Record], None]]
     checkpoints: ocp.CheckpointManager | None
     """None in a process that is not the first."""
@@ -74,9 +76,19 @@ class Checkpointer:
         self._export_if_best(trainer)
 
     def policy(self, trainer: TrainerState) -> Policy:
-        """The policy kept."""
+        """The policy kept.
+
+        Raises:
+            ArtifactError: no checkpoint has a finite metric.
+        """
         like = policy_of(trainer, self.config)
-        return processes.of_first(like if self.checkpoints is None else load_policy(self.directory / POLICY))
+        return processes.of_first(like if self.checkpoints is None else self._kept())
+
+    def _kept(self) -> Policy:
+        path = self.directory / POLICY
+        if not path.with_suffix(".npz").exists():
+            raise no_choice(self.directory / CHECKPOINTS, self.minimise or "the metric")
+        return load_policy(path)
 
     @contextmanager
     def evidence(self) -> Iterator[None]:
@@ -115,7 +127,7 @@ def open_checkpointer(
         ArtifactError: the directory holds another training.
     """
     if not processes.is_first():
-        yield Checkpointer(directory, config, mesh, None, [], None)
+        yield Checkpointer(directory, config, mesh, None, None, [], None)
         return
     with ckpt.open_checkpoints(directory / CHECKPOINTS, identity, minimise) as checkpoints:
-        yield Checkpointer(directory, config, mesh, evaluate, callbacks, checkpoints)
+        yield Checkpointer(directory, config, mesh, evaluate, minimise, callbacks, checkpoints)

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range
+from qjrl.robot.quaternion_arm.dimensions import check_dimensions
+from qjrl.robot.unit_hints import length_hint
 
 Positive = Range(above=0.0)
 NonNegative = Range(low=0.0)
@@ -33,6 +35,7 @@ class JointConfig:
         if self.pin_distance >= self.crossed_link_length:
             raise ValueError(
                 f"pin_distance: got {self.pin_distance}, allowed: less than crossed_link_length = {self.crossed_link_length}"
+                f"{_hint_where_far(self.pin_distance / self.crossed_link_length)}"
             )
 
 
@@ -131,8 +134,9 @@ class QuaternionArmConfig:
         names = [name for pair in self.cables.names for name in pair]
         if len(set(names)) != len(names):
             raise ValueError(f"cables.names: got {names}, allowed: all different")
-        _check_hole_angles(self.cables.hole_angles_deg)
+        _check_hole_angles(self.cables)
         _check_stop(self.joint, self.cables.hole_circle_diameter)
+        check_dimensions(self)
 
 
 def _check_stop(joint: JointConfig, hole_circle_diameter: float) -> None:
@@ -150,16 +154,32 @@ def _check_stop(joint: JointConfig, hole_circle_diameter: float) -> None:
         raise ValueError(
             f"cables.hole_circle_diameter: got {hole_circle_diameter}, allowed: less than {height / sine:.4g}, "
             f"where the plates of a joint touch at its stop of {stop:.12g} deg"
+            f"{_hint_where_far(hole_circle_diameter * sine / height)}"
         )
 
 
-def _check_hole_angles(hole_angles_deg: tuple[tuple[float, float], ...]) -> None:
+def _hint_where_far(excess: float) -> str:
+    """A circle a little too large is no slip of units."""
+    return length_hint(excess) if excess > 10.0 else ""
+
+
+def _check_hole_angles(cables: CablesConfig) -> None:
     """Each hole belongs to one strand: angles differ modulo 180, since return strands use the opposite hole."""
-    angles = sorted(angle % 180.0 for pair in hole_angles_deg for angle in pair)
-    gaps = [after - before for before, after in zip(angles, [*angles[1:], angles[0] + 180.0], strict=True)]
-    if min(gaps) < 1.0:
+    holes = sorted(
+        (angle % 180.0, name, angle)
+        for angles, names in zip(cables.hole_angles_deg, cables.names, strict=True)
+        for angle, name in zip(angles, names, strict=True)
+    )
+    turned = [*holes[1:], (holes[0][0] + 180.0, *holes[0][1:])]
+    (first, one, at), (second, other, other_at) = min(
+        zip(holes, turned, strict=True), key=lambda pair: pair[1][0] - pair[0][0]
+    )
+    if second - first < 1.0:
+        largest = max(abs(angle) for _, _, angle in holes)
+        hint = "; in radians? multiply by 57.3" if 0.0 < largest <= 2.0 * math.pi else ""
         raise ValueError(
-            f"cables.hole_angles_deg: got {[list(pair) for pair in hole_angles_deg]}, allowed: all different by 1 deg or more, modulo 180"
+            f"cables.hole_angles_deg: got {[list(pair) for pair in cables.hole_angles_deg]}, allowed: all different by 1 deg "
+            f"or more, modulo 180; the holes of cable {one} at {at:g} and of cable {other} at {other_at:g} collide{hint}"
         )
 
 

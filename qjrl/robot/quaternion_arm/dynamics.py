@@ -8,8 +8,6 @@ weighted by c_i = tr(I)/2 - I_ii. Then sum w |dz/dt|^2 is twice its kinetic ener
 Components come first and a batch of arms last, as in `geometry.lanes`.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,7 +18,15 @@ from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.segment_chain import Load, in_order, mass_and_force, row
 from qjrl.robot.quaternion_arm.segment_shape import SegmentMotion, height_at, segment_motion, segment_motions
 
-__all__ = ["Equations", "Load", "equations_of_motion", "hinge_damping", "hinge_stiffness", "joint_coordinates", "tip_pose"]
+__all__ = [
+    "Equations",
+    "Load",
+    "equations_of_motion",
+    "hinge_damping",
+    "hinge_stiffness",
+    "joint_coordinates",
+    "tip_pose",
+]
 
 
 @struct.dataclass

@@ -104,9 +104,7 @@ def segment_force(arm: QuaternionArm, motion: SegmentMotion, rates: Any, carried
             twist = _twist(kind, body, carried)
             linear = linear + pull
             angular = angular + centre.at.cross(pull) + twist
-            own = [
-                add(own[k], add(centre.slope[k].dot(pull), body.spin.slope[k].dot(twist))) for k in range(2)
-            ]
+            own = [add(own[k], add(centre.slope[k].dot(pull), body.spin.slope[k].dot(twist))) for k in range(2)]
     return SegmentForce(linear, angular, (own[0], own[1]))
 
 

@@ -100,9 +100,7 @@ def chain_of(load: Load, motion: SegmentMotion, rates: jax.Array) -> Chain:
     carried = Carried(*(frame.transposed_times(stacked(values, like)) for values in zip(*bases, strict=True)))
     ends = stacked([*places[1:], place], like)
     turning = tuple(frame.times(slope) for slope in motion.spin.slope)
-    origin = tuple(
-        frame.times(slope) + ends.cross(turn) for slope, turn in zip(motion.end.slope, turning, strict=True)
-    )
+    origin = tuple(frame.times(slope) + ends.cross(turn) for slope, turn in zip(motion.end.slope, turning, strict=True))
     tip = _payload(load, place, moved, turned_rate)
     return Chain(frame, stacked(places, like), ends, carried, turning, origin, tip)
 

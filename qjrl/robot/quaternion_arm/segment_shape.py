@@ -120,9 +120,7 @@ def segment_motion(arm: QuaternionArm, count: int, half_angles: Any, rates: Any)
         place = _beyond(middle, half_link, axis)
     zero = jnp.zeros_like(sine_x)
     bend_slope = ((zero, -cosine.at), (cosine_y, sine_x * sine_y))
-    return SegmentMotion(
-        chords, links, place, rotation, spin, cosine, height, bend_slope, (sine_y, -sine_x * cosine_y)
-    )
+    return SegmentMotion(chords, links, place, rotation, spin, cosine, height, bend_slope, (sine_y, -sine_x * cosine_y))
 
 
 def segment_motions(arm: QuaternionArm, half_angles: jax.Array, rates: jax.Array) -> dict[int, SegmentMotion]:
@@ -249,4 +247,6 @@ def _vector_at(slope, rates) -> Vector:
 
 
 def _lengths(arm: QuaternionArm, cosine: jax.Array) -> tuple:
-    return tuple(length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin))
+    return tuple(
+        length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
+    )

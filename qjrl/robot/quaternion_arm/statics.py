@@ -60,6 +60,12 @@ def strand_tension(arm: QuaternionArm, lengths: jax.Array, steps: int = STEPS) -
     return jnp.clip(arm.strand_stiffness * stretch, 0.0, arm.config.strands.strength)
 
 
+def is_at_strength(arm: QuaternionArm, tension: Any) -> Any:
+    """Whether strands of such tensions (...,) [N] would break. No model lets a strand carry more than its strength, so
+    reaching it is what tells, but for the rounding of single precision."""
+    return tension >= (1.0 - 1e-6) * arm.config.strands.strength
+
+
 def _rest(arm: QuaternionArm, lengths: jax.Array, steps: int) -> jax.Array:
     """Half angles (2 segments,) at rest [rad]. With all strands taut an error shrinks a hundredfold a step."""
     commands, nothing = strand_commands(arm, lengths), jnp.zeros(3, lengths.dtype)

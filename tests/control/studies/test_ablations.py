@@ -1,6 +1,7 @@
 import dataclasses
 
 import pytest
+from qjrl.learning.ppo.imitation import ImitationConfig
 
 from qjrl.config import as_mapping
 from qjrl.control.policy_training import PolicyConfig
@@ -8,7 +9,6 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.studies.ablations import ABLATIONS, ablations
 from qjrl.control.studies.parameter_effects import NOMINAL, one_at_a_time
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.imitation import ImitationConfig
 
 CONFIG = PolicyConfig(
     ppo=PPOConfig(num_steps=1000, learning_rate=1e-5, target_kl=0.01, imitation=ImitationConfig(rounds=8))

@@ -104,7 +104,7 @@ def test_positions_alone_leave_the_orientation_free_unless_it_is_fixed(tmp_path)
         ("", "no header"),
         ("a,b,c\n1,2,3\n", "columns a,b,c"),
         ("x,y,z\n0,0,0.4\n", "holds 1 points"),
-        ("x,y,z\n0,0,0.4\n0,nan,0.4\n", "not finite in point 1"),
+        ("x,y,z\n0,0,0.4\n0,nan,0.4\n", "row 1 .*line 3, column y: got nan, which is not finite"),
         ("x,y,z\n0,0,0.4\n0,0.1\n", "does not hold 3 numbers"),
         ("x,y,z\n0,0,0.4\n0,zero,0.4\n", "zero"),
         ("x,y,z\n0,0,0.4\n0,0.1,0.4\n0,0.1,0.4\n", "points 1 and 2 are the same"),

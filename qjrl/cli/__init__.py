@@ -1,0 +1,1 @@
+"""The door: arguments in, exit code out. Only here are Hydra and the process environment known."""

@@ -1,0 +1,57 @@
+"""The process: what must be set before jax and mujoco are imported, in this one or in a launcher's worker."""
+
+import ctypes
+import logging
+import os
+import platform
+import sys
+from pathlib import Path
+
+from qjrl import progress
+from qjrl.artifacts import hash_of
+
+
+def prepare() -> None:
+    """Environment variables and the log; the user's own settings stay."""
+    os.environ["JAX_ENABLE_X64"] = "1"
+    os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_cache()))
+    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
+        os.environ["MUJOCO_GL"] = _headless_renderer()
+    logger = logging.getLogger("qjrl")
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    logger.handlers = [_ConsoleHandler()]
+
+
+def _cache() -> Path:
+    """Of compiled code: it must not reach a lesser CPU through a shared home."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qjrl" / f"jax-{_instruction_set()}"
+
+
+def _instruction_set() -> str:
+    """A short name of what this CPU can execute."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    flags = [line for line in lines if line.startswith(("flags", "Features"))]
+    return hash_of(flags[:1] or platform.machine())[:8]
+
+
+def _headless_renderer() -> str:
+    """EGL where its library loads, else OSMesa, else no pictures by MuJoCo."""
+    for renderer, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8"), ("osmesa", "libOSMesa.so")):
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        return renderer
+    return "disable"
+
+
+class _ConsoleHandler(logging.Handler):
+    """Log lines through the console that draws the bars."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        progress.console.print(self.format(record), markup=False)
