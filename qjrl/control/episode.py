@@ -187,7 +187,9 @@ def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant:
     is_lost = termination.is_lost(config.termination, robot, plant, overloaded)
     earned = reward(config.reward, errors[0], errors[1], control.actions[0], has_arrived)
     earned = earned - jnp.where(is_lost, config.termination.cost, 0.0)
-    metrics = dict(zip(METRICS, (errors[0], errors[1], jnp.max(jnp.abs(control.residual))), strict=True))
+    metrics: dict[str, jax.Array] = dict(
+        zip(METRICS, (errors[0], errors[1], jnp.max(jnp.abs(control.residual))), strict=True)
+    )
     observation = _observation(config, robot, state, plant, errors)
     return StepOutcome(state, observation, earned, control.step >= state.episode_steps, is_lost, metrics)
 
@@ -231,7 +233,7 @@ def _errors(plant: PlantState, control: ControlState) -> jax.Array:
     return jnp.stack([position_error(plant.pose, control.target), orientation_error(plant.pose, control.target)])
 
 
-METRICS = ("position_error", "orientation_error", "residual")
+METRICS: tuple[str, ...] = ("position_error", "orientation_error", "residual")
 """Names of `StepOutcome.metrics`."""
 # Time constant [s]: five control periods, in which swings that turn at every one leave a tenth of themselves.
 _SMOOTHING = 0.1

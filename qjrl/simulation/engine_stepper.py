@@ -61,7 +61,7 @@ class EngineStepper:
         if self._seen is None:
             with jax.enable_x64(False):
                 seen = _read(self._engine, self._state)
-            self._seen = jax.tree.map(_as_double, seen)
+            self._seen = PlantState(**{name: _as_double(values) for name, values in vars(seen).items()})
         return self._seen
 
     def get_state(self) -> dict[str, np.ndarray]:

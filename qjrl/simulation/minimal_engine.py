@@ -5,6 +5,7 @@ Both come to rest at the same place; on the way they differ as two integrators d
 batch comes last, as in `geometry.lanes`.
 """
 
+import dataclasses
 from functools import partial
 from typing import Any
 
@@ -57,15 +58,15 @@ class MinimalEngine:
         (n, strands) [m]."""
         first = np.concatenate([[0], np.cumsum(self.robot.joints_per_segment)[:-1]])
         joints = joint_positions.reshape(len(joint_positions), self.robot.num_joints, -1)
-        moving = state.state.moving.replace(half_angles=joints[:, first, :2])
-        return state.replace(state=state.state.replace(moving=moving), strand_commands=strand_commands)
+        moving = dataclasses.replace(state.state.moving, half_angles=joints[:, first, :2])
+        return MinimalArms(state.physics, Guarded(moving, state.state.has_failed), strand_commands)
 
     def advance(self, state: MinimalArms, strand_commands: jax.Array, num_steps: int | jax.Array) -> MinimalArms:
         """Linearly implicit steps, see `minimal_step`."""
         before, commands = state.state.moving, strand_commands.astype(jnp.float32)
-        inner = _batch_last((state.physics, before, commands))
-        timestep = jnp.float32(self.timestep)
-        after = _batch_first(minimal_steps(self.robot, *inner, timestep, num_steps))  # pyright: ignore[reportArgumentType]
+        physics, moving, held = _batch_last((state.physics, before, commands))
+        timestep, count = jnp.float32(self.timestep), jnp.asarray(num_steps, jnp.int32)
+        after = _batch_first(minimal_steps(self.robot, physics, moving, held, timestep, count))
         watched = (before.half_angles, before.rates, after.half_angles, after.rates)
         return MinimalArms(state.physics, guarded(state.state, after, watched), commands)
 

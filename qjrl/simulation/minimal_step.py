@@ -12,10 +12,12 @@ friction holds does not creep. Projected Gauss-Seidel sweeps find them, from the
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from qjrl.geometry import cholesky
@@ -24,6 +26,8 @@ from qjrl.robot.quaternion_arm.dynamics import Equations, Load, equations_of_mot
 
 # Gauss-Seidel sweeps of a step; impulses are carried over, so they go on converging from step to step.
 SWEEPS = 8
+# On a CPU: with more arms than MOST_LANES a step goes through blocks of about BLOCK, whose numbers a core's cache holds.
+MOST_LANES, BLOCK = 512, 256
 
 
 @struct.dataclass
@@ -60,7 +64,31 @@ def minimal_steps(
     num_steps: jax.Array,
 ) -> MinimalState:
     """`num_steps` steps of `timestep` [s] on, holding rest lengths `commands` (strands, lanes) [m]."""
-    return jax.lax.fori_loop(0, num_steps, lambda _, state: _step(arm, physics, state, commands, timestep), state)
+
+    def steps(physics: Physics, state: MinimalState, commands: jax.Array) -> MinimalState:
+        return jax.lax.fori_loop(0, num_steps, lambda _, now: _step(arm, physics, now, commands, timestep), state)
+
+    if jax.default_backend() != "cpu":
+        return steps(physics, state, commands)
+    return in_blocks(steps, (physics, state, commands), commands.shape[-1])
+
+
+def in_blocks(function: Callable, arguments: tuple, num_lanes: int) -> Any:
+    """function(*arguments), trees of (..., lanes), block after block where there are more lanes than a core's cache holds."""
+    if num_lanes <= MOST_LANES:
+        return function(*arguments)
+    count = math.ceil(num_lanes / BLOCK)
+    size = math.ceil(num_lanes / count)
+    places = np.minimum(np.arange(count * size), num_lanes - 1)  # the last block goes on with copies of the last lane
+
+    def cut(values: jax.Array) -> jax.Array:
+        whole = values if count * size == num_lanes else values[..., places]
+        return jnp.moveaxis(whole.reshape(*whole.shape[:-1], count, size), -2, 0)
+
+    def join(values: jax.Array) -> jax.Array:
+        return jnp.moveaxis(values, 0, -2).reshape(*values.shape[1:-1], count * size)[..., :num_lanes]
+
+    return jax.tree.map(join, jax.lax.map(lambda block: function(*block), jax.tree.map(cut, arguments)))
 
 
 def strand_tension(arm: QuaternionArm, physics: Physics, lengths: jax.Array, commands: jax.Array) -> jax.Array:

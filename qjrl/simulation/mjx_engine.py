@@ -1,5 +1,6 @@
 """The engine in MJX, float32, for accelerators: in JAX's operations or in the kernels of NVIDIA's Warp."""
 
+import dataclasses
 from functools import partial
 from typing import Any
 
@@ -88,8 +89,10 @@ class MjxEngine:
 
     def placed(self, state: MjxArms, joint_positions: jax.Array, strand_commands: jax.Array) -> MjxArms:
         """At rest at joint positions (n, nq) [rad, m], holding rest lengths (n, strands) [m]."""
-        moving = state.state.moving.replace(joint_positions=joint_positions, strand_commands=strand_commands)
-        return state.replace(state=state.state.replace(moving=moving))
+        moving = dataclasses.replace(
+            state.state.moving, joint_positions=joint_positions, strand_commands=strand_commands
+        )
+        return MjxArms(state.physics, Guarded(moving, state.state.has_failed))
 
     def advance(self, state: MjxArms, strand_commands: jax.Array, num_steps: int | jax.Array) -> MjxArms:
         """`mjx_model.balanced_step`s."""
@@ -99,10 +102,10 @@ class MjxEngine:
             placed = arm.placed_in(self.data)
             return arm.moved_to(jax.lax.fori_loop(0, num_steps, lambda _, data: balanced_step(model, data), placed))
 
-        before = state.state.moving.replace(strand_commands=strand_commands.astype(jnp.float32))
+        before = dataclasses.replace(state.state.moving, strand_commands=strand_commands.astype(jnp.float32))
         after = jax.vmap(one)(state.physics, before)
         watched = [(arm.joint_positions, arm.joint_velocities) for arm in (before, after)]
-        return state.replace(state=guarded(state.state, after, watched))
+        return MjxArms(state.physics, guarded(state.state, after, watched))
 
     def read(self, state: MjxArms) -> PlantState:
         """As C MuJoCo would show it."""
@@ -139,8 +142,8 @@ class MjxEngine:
         )
         physics = jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), physics)
         inertias = jax.vmap(partial(_inertias, self.plain))(physics)
-        return physics.replace(
-            joint_inverse_inertia=inertias[0], tendon_inverse_inertia=inertias[1], mean_inertia=inertias[2]
+        return dataclasses.replace(
+            physics, joint_inverse_inertia=inertias[0], tendon_inverse_inertia=inertias[1], mean_inertia=inertias[2]
         )
 
 

@@ -127,7 +127,7 @@ def learning(plan: Plan, trainer: TrainerState, experience: Experience) -> tuple
     moves_actor = (trainer.iteration >= rounds + config.critic_warmup) | (rounds == 0)
     update = make_update(plan.networks, config, plan.mesh)
     learner, losses = update(
-        learner, normaliser, rollout.replace(observation=seen), last_observation, key_update, moves_actor
+        learner, normaliser, dataclasses.replace(rollout, observation=seen), last_observation, key_update, moves_actor
     )
     metrics = losses | _counts(rollout) | {f"log/{name}": value for name, value in trainer.episodes.totals().items()}
     return (

@@ -56,14 +56,16 @@ class Programs:
             return self.replay(env, trainer, iteration.EXPLORES)
 
         if not self.are_apart:
-            return Iterated(*self.iterate(env, trainer), replay, None)
+            following, metrics = self.iterate(env, trainer)
+            return Iterated(following, metrics, replay, None)
         start = time.perf_counter()
         collected = jax.block_until_ready(self.collect(env, trainer, np.float32(iteration.EXPLORES)))
         collecting = time.perf_counter() - start
-        return Iterated(*self.learn(*collected), replay, collecting)
+        following, metrics = self.learn(*collected)
+        return Iterated(following, metrics, replay, collecting)
 
     def replay(self, env: Env, trainer: TrainerState, around: float) -> dict[str, np.ndarray]:
-        """What the envs were doing that diverged in the rollout that began at `trainer`; in every process, of its own envs."""
+        """What the envs were doing that diverged in the rollout that began at `trainer`; of the envs of all processes."""
         with jax.debug_key_reuse(False):  # on purpose: the same once more
             _, (rollout, _) = self.collect(env, trainer, np.float32(around))
             return evidence_of(env, trainer.envs, on_host(rollout.action))
@@ -73,7 +75,8 @@ class Programs:
 def make_programs(plan: Plan) -> Programs:
     """Compilation itself happens at the first call of each."""
     everywhere, by_env = NamedSharding(plan.mesh, P()), NamedSharding(plan.mesh, P(ENVS))
-    trainer: Any = TrainerState(*[everywhere] * 5, by_env, by_env)  # pyright: ignore[reportArgumentType]
+    fields = [field.name for field in dataclasses.fields(TrainerState)]
+    trainer: Any = TrainerState(**{name: by_env if name in ("envs", "episodes") else everywhere for name in fields})
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
         return functools.partial(function, plan)

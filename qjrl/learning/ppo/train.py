@@ -4,6 +4,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -138,9 +139,8 @@ def run_dagger(
         before = trainer
         trainer, (rollout, _) = programs.collect(env, before, np.float32(around))
         statistics, stored, counts = programs.store(statistics, rollout)
-        sound, seen, expert = meshes.on_host(
-            (stored.valid, stored.observation[ACTOR_KEY], stored.observation[EXPERT_KEY])
-        )
+        seen, expert = (meshes.on_host(stored.observation[name]) for name in (ACTOR_KEY, EXPERT_KEY))
+        sound = meshes.on_host(stored.valid)
         rows.append((seen[sound], expert[sound]))
         sound_steps = int(meshes.on_host(counts["num_valid"]))
         num_valid += sound_steps
@@ -150,10 +150,10 @@ def run_dagger(
     record = validity_of(num_valid, num_steps)
     replay = lambda: programs.replay(env, worst, around) if worst is not None else {}  # noqa: E731
     check_validity(record, number + 1, plan.config, replay)
-    mean, std = meshes.on_host((statistics.mean[ACTOR_KEY], statistics.std[ACTOR_KEY]))
+    mean, std = meshes.on_host((_of(statistics.mean), _of(statistics.std)))
     policy = dataclasses.replace(policy, mean=mean, std=std)
     key_fit, key = jax.random.split(trainer.key)
-    columns = tuple(np.concatenate(column) for column in zip(*rows, strict=True))
+    columns = np.concatenate([row[0] for row in rows]), np.concatenate([row[1] for row in rows])
     policy, loss = fit_round(policy, config, number, columns, key_fit)
     if number == config.rounds - 1:
         policy = moderated(policy, config.share)
@@ -186,6 +186,11 @@ def _sizes(config: PPOConfig, env: Env, num_envs: int) -> list[int]:
         raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
     rounds = [_num_rollouts(config) * per_iteration] * config.dagger.rounds
     return rounds + [per_iteration] * -(-config.num_steps // per_iteration)
+
+
+def _of(statistics: Any) -> Any:
+    """The actor's part of an observation's statistics."""
+    return statistics[ACTOR_KEY]
 
 
 def _num_rollouts(config: PPOConfig) -> int:

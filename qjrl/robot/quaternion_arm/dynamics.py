@@ -8,6 +8,8 @@ weighted by c_i = tr(I)/2 - I_ii. Then sum w |dz/dt|^2 is twice its kinetic ener
 Components come first and a batch of arms last, as in `geometry.lanes`.
 """
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -51,7 +53,7 @@ def equations_of_motion(arm: QuaternionArm, load: Load, half_angles: jax.Array, 
     """At half angles [rad] and rates [rad/s], both (segments, 2, *batch)."""
     motions = segment_motions(arm, half_angles, rates)
     like, count = jnp.zeros_like(half_angles[0, 0]), arm.num_segments
-    bare = {size: motion.replace(chords=[], links=[]) for size, motion in motions.items()}
+    bare = {size: dataclasses.replace(motion, chords=[], links=[]) for size, motion in motions.items()}
     motion = in_order(arm, bare, like)
     mass, force = mass_and_force(arm, load, motions, motion, rates)
     strands, strand_slope = _strands(arm, motion)

@@ -91,7 +91,7 @@ def segment_inertia(arm: QuaternionArm, motion: SegmentMotion) -> SegmentInertia
     return SegmentInertia(first, second, (linear[0], linear[1]), (angular[0], angular[1]), (own[0], own[1], own[2]))
 
 
-def segment_force(arm: QuaternionArm, motion: SegmentMotion, rates: Any, carried: Carried) -> SegmentForce:
+def segment_force(arm: QuaternionArm, motion: SegmentMotion, rates: tuple[Any, Any], carried: Carried) -> SegmentForce:
     """Newton and Euler for a segment's bodies at constant rates of its half angles, pairs of (*batch)."""
     swing, turned = _swing(carried), carried.turned
     linear, angular, own = ZERO, ZERO, [0.0, 0.0]

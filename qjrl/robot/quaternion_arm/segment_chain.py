@@ -5,6 +5,7 @@ coordinate does to all that lies beyond its segment is a turn and a velocity of 
 Fields of a `Chain` have the segments first and a batch of arms last.
 """
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -97,10 +98,13 @@ def chain_of(load: Load, motion: SegmentMotion, rates: jax.Array) -> Chain:
         moved = moved + end_drift + turned_rate.cross(end) + turned.cross(turned.cross(end) + end_rate + end_rate)
         turned_rate = turned_rate + turned.cross(spin) + spin_rate
         turned, place = turned + spin, place + end
-    carried = Carried(*(frame.transposed_times(stacked(values, like)) for values in zip(*bases, strict=True)))
+    carried = Carried(*(frame.transposed_times(stacked(list(values), like)) for values in zip(*bases, strict=True)))
     ends = stacked([*places[1:], place], like)
-    turning = tuple(frame.times(slope) for slope in motion.spin.slope)
-    origin = tuple(frame.times(slope) + ends.cross(turn) for slope, turn in zip(motion.end.slope, turning, strict=True))
+    turning = (frame.times(motion.spin.slope[0]), frame.times(motion.spin.slope[1]))
+    origin = (
+        frame.times(motion.end.slope[0]) + ends.cross(turning[0]),
+        frame.times(motion.end.slope[1]) + ends.cross(turning[1]),
+    )
     tip = _payload(load, place, moved, turned_rate)
     return Chain(frame, stacked(places, like), ends, carried, turning, origin, tip)
 
@@ -194,7 +198,7 @@ def _beyond(chain: Chain, own: _Beyond, weights: list[float], like: jax.Array) -
     """All that lies beyond each segment's end."""
     found = [chain.tip]
     for k in reversed(range(1, len(weights))):
-        found.append(jax.tree.map(add, found[-1], row(own.replace(mass=weights[k]), k)))
+        found.append(jax.tree.map(add, found[-1], row(dataclasses.replace(own, mass=weights[k]), k)))
     return stacked(found[::-1], like)
 
 

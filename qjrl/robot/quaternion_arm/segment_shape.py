@@ -97,9 +97,8 @@ class _Joint:
 
 def segment_motion(arm: QuaternionArm, count: int, half_angles: Any, rates: Any) -> SegmentMotion:
     """A segment of `count` joints at half angles [rad] and rates [rad/s], pairs of (*batch)."""
-    (sine_x, sine_y), (cosine_x, cosine_y) = (
-        [function(jnp.asarray(value)) for value in half_angles] for function in (jnp.sin, jnp.cos)
-    )
+    x, y = half_angles
+    sine_x, sine_y, cosine_x, cosine_y = jnp.sin(x), jnp.sin(y), jnp.cos(x), jnp.cos(y)
     joint = _joint((sine_x, sine_y), (cosine_x, cosine_y), rates)
     cosine = _cosine(joint)
     height = _height(arm, cosine, rates)
@@ -130,7 +129,10 @@ def segment_motions(arm: QuaternionArm, half_angles: jax.Array, rates: jax.Array
         count: segment_motion(
             arm,
             count,
-            *([jnp.stack([values[row, k] for row in rows]) for k in range(2)] for values in (half_angles, rates)),
+            *(
+                (jnp.stack([values[row, 0] for row in rows]), jnp.stack([values[row, 1] for row in rows]))
+                for values in (half_angles, rates)
+            ),
         )
         for count, rows in rows_by_count(arm).items()
     }
@@ -195,14 +197,13 @@ def _spins(joint: _Joint, rotation: Matrix, spin: Spin) -> tuple[Spin, Spin]:
     (sine_x, _), (cosine_x, _), rates = joint.sine, joint.cosine, joint.rates
     second = rotation.y.scaled(cosine_x) + rotation.z.scaled(sine_x)  # R Rx(x) e_y
     chord_y = spin.slope[1] + second
-    found = []
-    for slope, drift in (
-        ((spin.slope[0] + rotation.x, chord_y), joint.chord_drift),
-        ((spin.slope[0] + rotation.times(joint.turning), chord_y + second), joint.drift),
-    ):
+
+    def turning(slope: tuple[Vector, Vector], drift: Vector) -> Spin:
         rate = _vector_at(slope, rates)
-        found.append(Spin(slope, rate, spin.drift + spin.rate.cross(rate) + rotation.times(drift)))
-    return found[0], found[1]
+        return Spin(slope, rate, spin.drift + spin.rate.cross(rate) + rotation.times(drift))
+
+    after = (spin.slope[0] + rotation.times(joint.turning), chord_y + second)
+    return turning((spin.slope[0] + rotation.x, chord_y), joint.chord_drift), turning(after, joint.drift)
 
 
 def _turning(axis: Vector, spin: Spin, rates) -> Place:
@@ -213,14 +214,14 @@ def _turning(axis: Vector, spin: Spin, rates) -> Place:
 
 def _beyond(place: Place, length: Any, axis: Place) -> Place:
     """At a constant length along an axis."""
-    slope = tuple(one + other.scaled(length) for one, other in zip(place.slope, axis.slope, strict=True))
+    slope = (place.slope[0] + axis.slope[0].scaled(length), place.slope[1] + axis.slope[1].scaled(length))
     return Place(place.at + axis.at.scaled(length), slope, place.drift + axis.drift.scaled(length))
 
 
 def _raised(place: Place, height: Scalar, axis: Place, rates) -> Place:
     """At a joint's height along an axis."""
     moved = _beyond(place, height.at, axis)
-    slope = tuple(one + axis.at.scaled(other) for one, other in zip(moved.slope, height.slope, strict=True))
+    slope = (moved.slope[0] + axis.at.scaled(height.slope[0]), moved.slope[1] + axis.at.scaled(height.slope[1]))
     twice = times(2.0, _at(height.slope, rates))
     return Place(
         moved.at,
