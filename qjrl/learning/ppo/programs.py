@@ -75,8 +75,9 @@ class Programs:
 def make_programs(plan: Plan) -> Programs:
     """Compilation itself happens at the first call of each."""
     everywhere, by_env = NamedSharding(plan.mesh, P()), NamedSharding(plan.mesh, P(ENVS))
-    fields = [field.name for field in dataclasses.fields(TrainerState)]
-    trainer: Any = TrainerState(**{name: by_env if name in ("envs", "episodes") else everywhere for name in fields})
+    names = [field.name for field in dataclasses.fields(TrainerState)]
+    shardings: dict[str, Any] = {name: by_env if name in ("envs", "episodes") else everywhere for name in names}
+    trainer = TrainerState(**shardings)
 
     def of(function: Callable[..., Any]) -> Callable[..., Any]:
         return functools.partial(function, plan)
