@@ -105,12 +105,12 @@ class ResidualEnv:
         return jax.vmap(partial(episode.observe, self.config, self.robot))(planned, seen)
 
     def _begin_anew(self, state: State, ended: jax.Array) -> State:
-        def fresh(keys: jax.Array) -> tuple[Arms, Any]:
-            begun = self.reset(keys)
+        def fresh(words: jax.Array) -> tuple[Arms, Any]:
+            begun = self.reset(jax.random.wrap_key_data(words))
             return begun.inner, begun.observation
 
-        keys = state.inner.episode.key
-        inner, observation = for_some_rows(ended, fresh, keys, (state.inner, state.observation))
+        words = jax.random.key_data(state.inner.episode.key)  # JAX's check of keys does not see that a row is used once
+        inner, observation = for_some_rows(ended, fresh, words, (state.inner, state.observation))
         return state.replace(inner=inner, observation=observation)  # pyright: ignore[reportAttributeAccessIssue]
 
 
