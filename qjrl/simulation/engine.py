@@ -56,7 +56,7 @@ class Guarded:
     """The moving part of an engine's state, and which arms have left the finite and the plausible."""
 
     moving: Any
-    has_failed: jax.Array
+    has_failed: Any
     """(n,) since the arm was put at home."""
 
 
