@@ -42,7 +42,12 @@ def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
     if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(f"robot.kind: got {kind!r}, allowed: {', '.join(KINDS)}")
     config_type, make = KINDS[kind]
-    return make(build(config_type, mapping, "robot"))
+    try:
+        return make(build(config_type, mapping, "robot"))
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(f"robot.{error}") from error
 
 
 def robot_hash(robot: QuaternionArm) -> str:

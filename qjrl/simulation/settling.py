@@ -1,6 +1,7 @@
 """Settle: hold cable lengths in the physics until the arm rests, and read its pose and tensions."""
 
 import dataclasses
+import logging
 from typing import get_args
 
 import jax
@@ -12,7 +13,9 @@ from qjrl.robot.plausibility import check_cable_lengths
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.row_by_row import row_by_row
-from qjrl.simulation.settle_problem import Backend, RawSettled, SettleConfig, SettleProblem
+from qjrl.simulation.settle_problem import Backend, RawSettled, SettleConfig, SettleProblem, SettleStatus
+
+log = logging.getLogger(__name__)
 
 # Below this tension [N] a strand counts as slack.
 SLACK_TENSION = 0.01
@@ -38,6 +41,8 @@ class SettleResult:
     """(n,) simulation steps taken."""
     converged: np.ndarray
     """(n,) at rest; False: never settled, or diverged, its other values are not to be used."""
+    status: np.ndarray | None = None
+    """(n,) `SettleStatus`: rests, or how it fails to."""
 
     @property
     def is_slack(self) -> np.ndarray:
@@ -83,7 +88,34 @@ def settle(
     check_cable_lengths(robot, lengths)
     problem = nominal_problem(robot, lengths)
     raw = _load_backend(config.backend)(robot, problem, config, advance or (lambda count: None))
+    if not raw.converged.all():
+        log.warning("settling %s: %s", robot.name, unsettled(raw.status, config))
     return _describe(robot, raw)
+
+
+def unsettled(status: np.ndarray, config: SettleConfig) -> str:
+    """How many rows of (n,) `SettleStatus` do not rest, of which kind, and the setting that helps each; one line.
+
+    ``3 of 16 rows do not rest: 3 creep (smaller simulation.damping_scale, or null)``
+    """
+    kinds = [kind for kind in SettleStatus if kind != SettleStatus.RESTS]
+    counts = {kind: int(np.sum(status == kind)) for kind in kinds}
+    helps = _HELPS_THE_ARM_S if config.damping_scale is None else _HELPS_A_NUMBER
+    parts = [f"{count} {_VERBS[kind]} ({helps[kind]})" for kind, count in counts.items() if count]
+    return f"{sum(counts.values())} of {len(status)} rows do not rest: {', '.join(parts)}"
+
+
+_VERBS = {SettleStatus.CREEPS: "creep", SettleStatus.OSCILLATES: "oscillate", SettleStatus.DIVERGES: "diverge"}
+_HELPS_THE_ARM_S = {
+    SettleStatus.CREEPS: "larger simulation.max_time",
+    SettleStatus.OSCILLATES: "larger simulation.max_time",
+    SettleStatus.DIVERGES: "smaller simulation.timestep",
+}
+_HELPS_A_NUMBER = {
+    SettleStatus.CREEPS: "simulation.damping_scale=null, or smaller, or larger simulation.max_time",
+    SettleStatus.OSCILLATES: "simulation.damping_scale=null, or larger",
+    SettleStatus.DIVERGES: "simulation.damping_scale=null, or smaller simulation.timestep",
+}
 
 
 def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
@@ -123,6 +155,7 @@ def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
         speed=raw.speed,
         steps=raw.steps,
         converged=raw.converged,
+        status=raw.status,
     )
 
 

@@ -1,11 +1,13 @@
 import dataclasses
 
+import numpy as np
 import pytest
 import yaml
 from arms import MADE_UP, SHIPPED, altered, arm_named
 
 from qjrl.config import ConfigError, conf_folder, read_yaml
 from qjrl.robot import build_mjcf, load_robot, robot_from_mapping, robot_hash
+from qjrl.robot.quaternion_arm.mjcf_ties import fit_height_polynomial
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -124,3 +126,44 @@ def test_a_robot_is_a_frozen_tree_of_numbers():
     with pytest.raises(dataclasses.FrozenInstanceError):
         arm.pretension = 3.0  # pyright: ignore[reportAttributeAccessIssue]
     assert read_yaml(conf_folder() / "robot" / "qj_22.yaml")["strands"]["pretension"] == float(arm.pretension)
+
+
+def scaled(name: str, factor: float, **changes):
+    """A shipped arm with all its lengths times a factor, its masses times the third power of it."""
+    mapping = altered(name, **changes)
+    for part, keys in {
+        "joint": ("crossed_link_length", "pin_distance", "plate_to_pin"),
+        "cables": ("hole_circle_diameter",),
+        "mechanics": ("link_radius",),
+    }.items():
+        for key in keys:
+            mapping[part][key] *= factor
+    mapping["link_length"] *= factor
+    for key in ("joint_mass", "link_mass"):
+        mapping["mechanics"][key] *= factor**3
+    return robot_from_mapping(mapping)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_an_arm_in_another_size_is_as_allowed_and_its_heights_as_well_fitted(name):
+    """The quartic of the slide by the length measured is the same in the arm's own unit."""
+    factors = np.geomspace(0.1, 10.0, 7).tolist()
+    if load_robot(name).joint_model == "spherical":
+        for factor in factors:
+            assert build_mjcf(scaled(name, factor))
+        return
+    reference = fit_height_polynomial(load_robot(name))
+    for factor in factors:
+        arm = scaled(name, factor)
+        assert build_mjcf(arm)
+        in_own_unit = fit_height_polynomial(arm) * factor ** (np.arange(5) - 1.0)
+        np.testing.assert_allclose(in_own_unit, reference, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
+def test_pins_too_far_apart_are_refused_in_every_size_and_what_is_named_is_allowed(factor):
+    with pytest.raises(ConfigError, match="allowed: up to about") as refused:
+        build_mjcf(scaled("qj_22", factor, joint__crossed_link_length=0.036, joint__pin_distance=0.0345))
+    named = float(str(refused.value).split("up to about ")[1].split()[0])
+    pins = 0.995 * named / factor
+    assert build_mjcf(scaled("qj_22", factor, joint__crossed_link_length=0.036, joint__pin_distance=pins))

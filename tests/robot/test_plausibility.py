@@ -1,5 +1,6 @@
 """Numbers in another unit are refused where they enter, and the unit is named; what an arm can have is let through."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from arms import SHIPPED, altered, arm_named, over_rows, random_bends
@@ -34,7 +35,7 @@ def test_whatever_an_arm_does_is_plausible_and_in_millimetres_it_is_not(name):
 def test_settling_and_solving_refuse_millimetres_and_answer_what_is_a_little_too_far():
     with pytest.raises(ConfigError, match=r"row 1 .*cable_3: got 5 m.*in millimetres"):
         settle(ARM, np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 5.0, 0.0]]))
-    home = np.asarray(forward_kinematics(ARM, np.zeros((2, 2))))[None]
+    home = np.asarray(forward_kinematics(ARM, jnp.zeros((2, 2))))[None]
     far, absurd = home.copy(), home.copy()
     far[0, 2], absurd[0, 2] = 0.5, 240.0
     assert np.asarray(solve_least_squares(ARM, far).cable_lengths).shape == (1, 4)

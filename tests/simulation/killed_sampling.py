@@ -27,7 +27,7 @@ SIMULATION = SettleConfig(batch_size=2, num_threads=1)
 
 
 def remember_what_jax_computes() -> None:
-    computed, texts = {}, {}
+    computed, known = {}, {}
 
     def look_up(function, robot, rows):
         key = (function, rows.tobytes())
@@ -35,14 +35,14 @@ def remember_what_jax_computes() -> None:
             computed[key] = row_by_row(function, robot, rows)
         return computed[key]
 
-    def model_text(robot, solver):
-        if solver not in texts:
-            texts[solver] = real_text(robot, solver)
-        return texts[solver]
+    def remembered(robot, config):
+        if config not in known:
+            known[config] = real(robot, config)
+        return known[config]
 
-    real_text = mujoco_settle.build_mjcf
+    real = mujoco_settle.relaxation
     sampling.row_by_row = settling.row_by_row = look_up
-    mujoco_settle.build_mjcf = model_text
+    mujoco_settle.relaxation = remembered
 
 
 def sample(robot: Robot, directory: Path, num_shards: int) -> None:

@@ -59,7 +59,7 @@ def test_the_arm_rests_where_the_potential_energy_is_least(name):
     assert np.abs(result.strand_tension - tension).max() < 0.05
 
 
-BASE = SettleConfig().solver
+BASE = SettleConfig(damping_scale=10.0).solver
 CHANGES = {
     "armature /3": dataclasses.replace(BASE, armature_scale=BASE.armature_scale / 3),
     "armature x2": dataclasses.replace(BASE, armature_scale=BASE.armature_scale * 2),

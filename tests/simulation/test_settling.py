@@ -103,7 +103,7 @@ def test_what_diverges_is_flagged_and_leaves_its_neighbours_alone():
     """Strands a thousand times as stiff cannot be integrated at this time step."""
     wild = robot_from_mapping(altered("qj_22", strands__stiffness=2e7))
     lengths = over_rows(cable_lengths, wild, random_bends(wild, 4, seed=3))
-    result = settle(wild, lengths, config=SettleConfig(max_time=1.0))
+    result = settle(wild, lengths, config=SettleConfig(damping_scale=10.0, max_time=1.0))
     assert not result.converged.any()
 
 
@@ -139,7 +139,8 @@ def test_the_shipped_files_hold_the_defaults_and_name_their_engine():
 
 
 def test_the_rest_speed_shrinks_with_what_damping_adds():
-    assert SettleConfig(damping_scale=1.0).rest_speed == SettleConfig(damping_scale=0.5).rest_speed == 1e-4
+    for scale in (None, 1.0, 0.5):
+        assert SettleConfig(damping_scale=scale).rest_speed == 1e-4
     assert math.isclose(SettleConfig(damping_scale=10.0).rest_speed, 1e-5)
 
 

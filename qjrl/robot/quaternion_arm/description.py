@@ -136,7 +136,6 @@ class QuaternionArmConfig:
             raise ValueError(f"cables.names: got {names}, allowed: all different")
         _check_hole_angles(self.cables)
         _check_stop(self.joint, self.cables.hole_circle_diameter)
-        check_dimensions(self)
 
 
 def _check_stop(joint: JointConfig, hole_circle_diameter: float) -> None:
@@ -239,7 +238,12 @@ class QuaternionArm:
 
 
 def arm_from_config(config: QuaternionArmConfig) -> QuaternionArm:
-    """The pytree of a checked description."""
+    """The pytree of a checked description.
+
+    Raises:
+        ValueError: its values contradict each other.
+    """
+    check_dimensions(config)
     joint, strands = config.joint, config.strands
     compliance = 1.0 / strands.stiffness + (1.0 / strands.tensioner_stiffness if strands.tensioner_stiffness else 0.0)
     is_spherical = joint.pin_distance == 0.0 and joint.plate_to_pin == 0.0

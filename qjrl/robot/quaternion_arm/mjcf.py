@@ -14,8 +14,13 @@ from xml.etree import ElementTree
 from qjrl.config import Range
 from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.quaternion_arm.description import QuaternionArm
-from qjrl.robot.quaternion_arm.joint import height_of_cosine
-from qjrl.robot.quaternion_arm.mjcf_ties import HIDDEN_SITE, add_equalities, add_measuring_sites, add_stops_and_heights
+from qjrl.robot.quaternion_arm.mjcf_ties import (
+    HIDDEN_SITE,
+    add_equalities,
+    add_measuring_sites,
+    add_stops_and_heights,
+    height_at_home,
+)
 from qjrl.robot.quaternion_arm.naming import joint_labels, leader, segment_of, strand_name
 
 # Inertia of the slide [kg]. A height row is soft in proportion to its inverse: at 1 kg the tip rests 0.03 mm below the
@@ -86,7 +91,7 @@ def _add_settings(root: ElementTree.Element, arm: QuaternionArm, options: Solver
         gravity=arm.config.mechanics.gravity,
     )
     add_element(option, "flag", contact="disable")
-    length = arm.num_joints * (_home_height(arm) + arm.config.link_length)
+    length = arm.num_joints * (height_at_home(arm.config.joint) + arm.config.link_length)
     add_element(root, "statistic", extent=length, center=(0.0, 0.0, 0.5 * length))  # without the far sites of the stops
     visual = add_element(root, "visual")
     add_element(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.7 0.7 0.7")
@@ -97,7 +102,7 @@ def _add_bodies(root: ElementTree.Element, arm: QuaternionArm, options: SolverOp
     parent, plate_height = add_element(root, "worldbody"), 0.0
     for label in joint_labels(arm):
         chord, link = _add_joint(parent, arm, options, label, plate_height)
-        add_measuring_sites(parent, chord, link, label, plate_height, _home_height(arm))
+        add_measuring_sites(parent, chord, link, label, plate_height, height_at_home(arm.config.joint))
         _add_link(link, arm)
         if label == leader(label, options.lumping):
             _add_holes(parent, arm, f"lower_{label}", segment_of(label), plate_height)
@@ -115,7 +120,7 @@ def _add_joint(
     parent: ElementTree.Element, arm: QuaternionArm, options: SolverOptions, label: str, plate_height: float
 ) -> tuple[ElementTree.Element, ElementTree.Element]:
     """The chord body, on the lower pair of hinges, and the link body, on the slide and the upper pair."""
-    mechanics, home_height = arm.config.mechanics, _home_height(arm)
+    mechanics, home_height = arm.config.mechanics, height_at_home(arm.config.joint)
     hinge = {
         "type": "hinge",
         "stiffness": 2.0 * mechanics.joint_stiffness,  # two hinge pairs of half angles carry 1/2 K theta^2 together
@@ -181,8 +186,3 @@ def _add_actuators(root: ElementTree.Element, arm: QuaternionArm) -> None:
     for strand in range(arm.num_strands):
         name = strand_name(arm, strand)
         add_element(actuator, "position", name=name, tendon=name, **servo)
-
-
-def _home_height(arm: QuaternionArm) -> float:
-    joint = arm.config.joint
-    return height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
