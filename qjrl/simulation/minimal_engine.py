@@ -30,7 +30,7 @@ class MinimalArms:
     physics: Physics
     state: Guarded
     """Of a `MinimalState`."""
-    strand_commands: jax.Array
+    strand_commands: Any
     """(n, strands) rest lengths held [m]."""
 
 
