@@ -13,6 +13,7 @@ from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.simulation import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 from qjrl.stages import compare, policy
 
 ROBOT = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
@@ -21,8 +22,8 @@ MEDIANS = {"uniform_median_mm": 20.0, "near_home_median_mm": 30.0}
 
 def of_stage(stage: Any, starts_at_zero: bool) -> Any:
     config = PolicyConfig(ppo=PPOConfig(starts_at_zero=starts_at_zero))
-    parts = {"robot": ROBOT, "simulation": SettleConfig(), "policy": config, "seed": 0}
-    return stage.Config(**parts, **({"name": "run"} if stage is compare else {}))
+    physics = {"simulation": SettleConfig(), "name": "run"} if stage is compare else {"engine": EngineConfig()}
+    return stage.Config(robot=ROBOT, policy=config, seed=0, **physics)
 
 
 @pytest.fixture
