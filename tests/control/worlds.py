@@ -144,7 +144,8 @@ def nothing(num_envs=NUM_ENVS) -> np.ndarray:
 
 @cache
 def shared_env() -> ResidualEnv:
-    return residual_env(ARM, CONFIG, bank(), make_engine(ARM, ENGINE))
+    with jax.enable_x64(True):  # whoever asks first
+        return residual_env(ARM, CONFIG, bank(), make_engine(ARM, ENGINE))
 
 
 def keys_of(seed=0, count=NUM_ENVS) -> jax.Array:
