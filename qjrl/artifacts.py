@@ -12,21 +12,17 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import UnionType
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from qjrl import machine, plain_json
+from qjrl.records import ArtifactError, Kinds, check_record
 
 DATASET_FORMAT = 1
 DONE = "done.json"
 PROVENANCE = "provenance.json"
 MANIFEST = "manifest.json"
-
-
-class ArtifactError(ValueError):
-    """A file is missing, damaged, or belongs to something else. The message is the one line a user reads."""
 
 
 def write_arrays(path: str | Path, arrays: Mapping[str, Any]) -> None:
@@ -124,27 +120,16 @@ def read_manifest(directory: str | Path, robot_hash: str | None = None) -> dict[
     return manifest
 
 
-def read_record(path: str | Path, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
+def read_record(path: str | Path, kinds: Kinds, what: str) -> dict[str, Any]:
     """The mapping in a JSON file, with the keys that are needed: the one way to read what is then asked by key.
 
     Args:
-        kinds: key -> type of its value; other keys may be there too.
+        kinds: key -> type of its value; see `check_record`.
         what: what the file is, for the message of the ArtifactError.
     """
     if Path(path).is_dir():
         raise ArtifactError(f"{path}: is a directory, expected {what}")
     return check_record(path, load(path), kinds, what)
-
-
-def check_record(path: str | Path, record: Any, kinds: Mapping[str, type | UnionType], what: str) -> dict[str, Any]:
-    """The record, if it is a mapping with the keys `kinds`; see `read_record`."""
-    if not isinstance(record, dict):
-        raise ArtifactError(f"{path}: is not {what} (holds no mapping)")
-    for key, kind in kinds.items():
-        if key not in record or not isinstance(record[key], kind) or isinstance(record[key], bool):
-            found = f"{key} is {type(record[key]).__name__}" if key in record else f"{key} is missing"
-            raise ArtifactError(f"{path}: is not {what} ({found}); it is damaged, or another program wrote it")
-    return record
 
 
 def load(path: str | Path, robot_hash: str | None = None) -> Any:

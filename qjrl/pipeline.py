@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from qjrl import machine, shipped
 from qjrl.config import ConfigError, Range, build, known_names, unknown_key
-from qjrl.stage import Stage, alone_in, robot_hash_of, run_part, run_stage, run_together
+from qjrl.stage import Stage, alone_in, check_robot, robot_hash_of, run_part, run_stage, run_together
 
 STAGES: dict[str, Stage] = {
     "sample": Stage("qjrl.stages.sample", "settle cable commands in MuJoCo and write the data set", writes="dataset"),
@@ -121,11 +121,14 @@ class ProcessesConfig:
     """Number of this one, from 0. The first alone writes; all read the stage's inputs."""
     coordinator: str = ""
     """HOST:PORT, on the first one's machine, at which they meet."""
+    patience: Annotated[float, Range(above=0.0, high=86_400.0)] = 60.0
+    """Longest wait for the others at the start [s]."""
 
     def __post_init__(self) -> None:
         if self.index >= self.count:
             raise ValueError(f"index: got {self.index}, allowed: 0 to {self.count - 1}, below count")
-        if self.count > 1 and not all(self.coordinator.rpartition(":")[::2]):
+        host, _, port = self.coordinator.rpartition(":")
+        if self.count > 1 and not (host and port.isdecimal() and port.isascii() and 0 < int(port[:6]) < 65_536):
             raise ValueError(f"coordinator: got '{self.coordinator}', allowed: HOST:PORT, for a count of {self.count}")
 
 
@@ -185,7 +188,7 @@ def meet(tree: Mapping[str, Any]) -> None:
     if config.count > 1:
         from qjrl.learning import processes
 
-        processes.join(config.coordinator, config.count, config.index)
+        processes.join(config.coordinator, config.count, config.index, config.patience)
     machine.require_device()
 
 
@@ -229,22 +232,24 @@ def build_needed(tree: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any
 
     Args:
         tree: the resolved configuration as plain dicts and lists.
-        names: of the stages to run.
+        names: of the stages to run; see `build_configs`.
     Raises:
         ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
     """
     kinds = {name: STAGES[name].load().Config for name in names}
     checked = {field.name for kind in (RunConfig, *kinds.values()) for field in dataclasses.fields(kind)}
     if all(key in checked or shipped.says(key, value) for key, value in tree.items()):
-        return _configs(tree, kinds)
-    return build_configs(tree)
+        return _configs(tree, kinds, names)
+    return build_configs(tree, names)
 
 
-def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
+def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -> dict[str, Any]:
     """Checks the whole configuration: builds every stage's Config from the keys it names.
 
     Args:
         tree: the resolved configuration as plain dicts and lists.
+        names: of the stages that are to run, all by default. What only a stage itself refuses (its `check`, the files
+            that it reads) stops no other.
     Raises:
         ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
     """
@@ -253,13 +258,16 @@ def build_configs(tree: Mapping[str, Any]) -> dict[str, Any]:
     for key in tree:
         if key not in known:
             raise unknown_key(key, tree[key], sorted(known))
-    return _configs(tree, kinds)
+    return _configs(tree, kinds, STAGES if names is None else names)
 
 
-def _configs(tree: Mapping[str, Any], kinds: Mapping[str, type]) -> dict[str, Any]:
+def _configs(tree: Mapping[str, Any], kinds: Mapping[str, type], names: Iterable[str]) -> dict[str, Any]:
     configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
+    for name in in_order({*names} & {*configs}):
+        robot_hash_of(configs[name])
+        getattr(configs[name], "check", lambda: None)()
     for config in configs.values():
-        robot_hash_of(config)
+        check_robot(config)
     return configs
 
 

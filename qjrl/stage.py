@@ -8,6 +8,8 @@ reads beside them), `packages` (what -> which, of extras that change what it wri
 not on fields that cannot change a result (`config.NotIdentity`). Output of another identity makes room and is kept; it is
 taken back when its identity is asked for again.
 
+A `Config` with `check()` refuses there what its fields allow one by one, and files that it cannot read, before any work.
+
 Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
 `parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
 a directory, a lock and a done-marker of its own in ``WRITES.parts/PART``; the whole is made of them when all are there.
@@ -209,12 +211,18 @@ def _unless_damaged(
     return is_wanted
 
 
+def check_robot(config: Any) -> None:
+    """Raises the ConfigError of a robot that no stage can work on."""
+    if hasattr(config, "robot"):
+        from qjrl.robot import robot_from_mapping
+
+        robot_from_mapping(config.robot)
+
+
 def robot_hash_of(config: Any) -> str | None:
     """Of the robot a stage works on; a stage that names its robots itself says what they are by `robot_hash`."""
     if hasattr(config, "robot_hash"):
         return config.robot_hash
-    if not hasattr(config, "robot"):
-        return None
     from qjrl.robot import robot_from_mapping, robot_hash
 
-    return robot_hash(robot_from_mapping(config.robot))
+    return robot_hash(robot_from_mapping(config.robot)) if hasattr(config, "robot") else None

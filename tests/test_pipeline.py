@@ -277,3 +277,18 @@ def test_the_data_flow_reads_only_what_stages_before_it_write() -> None:
 def test_processes_that_cannot_run_a_stage_together_are_one_line(stages, processes, message) -> None:
     with pytest.raises(ConfigError, match=message):
         pipeline.selected({"name": "x", "stages": stages, "processes": processes})
+
+
+def test_a_stage_refuses_a_combination_only_where_it_is_asked_for(calls, monkeypatch) -> None:
+    def check(config: SecondConfig) -> None:
+        if config.second.gain == 3.0:
+            raise ConfigError("second: refuses this")
+
+    monkeypatch.setattr(SecondConfig, "check", check, raising=False)
+    odd = TREE | {"second": {"gain": 3.0}}
+    assert pipeline.build_needed(odd, ["first"])["second"].second.gain == 3.0
+    for names in (["second"], ["first", "second"]):
+        with pytest.raises(ConfigError, match=r"^second: refuses this"):
+            pipeline.build_needed(odd, names)
+    with pytest.raises(ConfigError, match=r"^second: refuses this"):
+        pipeline.build_configs(odd)

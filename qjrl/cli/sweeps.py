@@ -16,6 +16,8 @@ class Job:
 
     files: dict[str, str]
     """Choice of a robot -> the user's file."""
+    typed: dict[str, str]
+    """Override as Hydra was given it -> as the user typed it."""
     sweep: str | None = None
     """Identity of the sweep that it belongs to."""
     fixed: tuple[str, ...] = ()

@@ -63,6 +63,25 @@ class TrainedPolicy:
     """Target set -> targets of the bank whose base command the motors cannot ramp in in time."""
 
 
+def check_training(config: PolicyConfig, engine: EngineConfig) -> None:
+    """Refuses, without any work, what cannot be trained here.
+
+    Raises:
+        ConfigError: the devices of all processes cannot share the arms, or the control period is no multiple of the time
+            step of the engine.
+    """
+    if config.num_envs % jax.device_count():
+        raise ConfigError(
+            f"policy.num_envs: got {config.num_envs}, allowed: a multiple of the {jax.device_count()} devices of all processes"
+        )
+    check_control_period(config.environment, engine.timestep)
+
+
+def check_control_period(environment: EnvironmentConfig, timestep: float) -> None:
+    """Refuses a control period that is no multiple of a physics' time step [s]; see `substeps_of`."""
+    substeps_of(environment.control_period, timestep, "policy.environment.control_period")
+
+
 def train_policy(
     robot: Robot, engine: EngineConfig, config: PolicyConfig, targets: Arrays, seed: int, directory: Path
 ) -> TrainedPolicy:
@@ -72,12 +91,9 @@ def train_policy(
         engine: what it trains in, and is evaluated in while it trains.
         targets: columns of `ik/bank.npz`. The last `num_judged` rows of each set that arrive in time are set apart.
     Raises:
-        ConfigError: the bank has too few targets, or the processes cannot share the arms.
+        ConfigError: the bank has too few targets; see also `check_training`.
     """
-    if config.num_envs % jax.device_count():
-        raise ConfigError(
-            f"policy.num_envs: got {config.num_envs}, allowed: a multiple of the {jax.device_count()} devices of all processes"
-        )
+    check_training(config, engine)
     rows = rows_in_time(robot, config.environment, targets, [command_column(config.base)])
     for name, found in rows.items():
         if len(found) <= config.num_judged:

@@ -17,6 +17,7 @@ import orbax.checkpoint as ocp
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from qjrl import artifacts, plain_json
+from qjrl.records import holds_numbers
 
 TRAINING, ENVIRONMENT, IDENTITY = "training", "environment", "identity.json"
 
@@ -119,18 +120,18 @@ def no_choice(directory: Path, minimise: str) -> artifacts.ArtifactError:
 
 
 def rewind_log(path: Path, counter: str, last: int) -> list[dict[str, Any]]:
-    """Cuts a `.jsonl` log back to a restored checkpoint: no record after `last`, no half-written line.
+    """Cuts a `.jsonl` log back to a restored checkpoint: no record after `last`, no half-written or damaged line.
 
     Returns:
         The records kept.
     """
     kept = []
-    for line in path.read_text().splitlines() if path.exists() else []:
+    for line in path.read_text(errors="replace").splitlines() if path.exists() else []:
         try:
             record = json.loads(line)
         except ValueError:
             break
-        if not isinstance(record, dict) or not isinstance(record.get(counter), int | float) or record[counter] > last:
+        if not holds_numbers(record) or not isinstance(record.get(counter), int | float) or record[counter] > last:
             break
         kept.append(record)
     artifacts.write_bytes(path, "".join(plain_json.dumps(record) + "\n" for record in kept).encode())

@@ -10,12 +10,20 @@ from typing import Any
 import jax
 import numpy as np
 
+from qjrl.learning.rendezvous import wait_for_all
 
-def join(coordinator: str, count: int, index: int) -> None:
+
+def join(coordinator: str, count: int, index: int, patience: float = 60.0) -> None:
     """Makes this process number `index` of `count` that meet at `coordinator` (HOST:PORT), before JAX looks for devices.
+
+    Args:
+        patience: longest wait for the others [s].
+    Raises:
+        MachineError: they have not come by then.
 
     SIGTERM goes on ending it: JAX catches it for those who save then, and what is at work here loses little anyway.
     """
+    wait_for_all(coordinator, count, index, patience)
     jax.distributed.initialize(coordinator, count, index)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
 

@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.artifacts import ArtifactError
-from qjrl.config import Range, as_mapping, build
+from qjrl.config import ConfigError, Range, as_mapping, build
 from qjrl.learning.fitting import FitConfig, FittedNetwork, predict
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
 from qjrl.learning.parameters import load_parameters, save_parameters
@@ -106,12 +106,18 @@ def load_forward_model(path: Path, robot: Robot) -> ForwardModel:
     Raises:
         ArtifactError: missing, truncated, or of another robot.
     """
-    tree, description = load_parameters(path)
-    if description.get("robot_hash") != robot_hash(robot):
+    names = ("parameters", "output_mean", "output_std")
+    tree, description = load_parameters(path, {"robot_hash": str, "config": dict}, names)
+    if description["robot_hash"] != robot_hash(robot):
         raise ArtifactError(f"{path}.json: belongs to another robot than {robot.name}")
-    config = build(ForwardModelConfig, description["config"])
-    sigma_factors = tree.pop("sigma_factors", None)
-    fitted = FittedNetwork(**jax.tree.map(jnp.asarray, tree), num_members=config.ensemble)
+    try:
+        config = build(ForwardModelConfig, description["config"], "config")
+    except ConfigError as error:
+        raise ArtifactError(f"{path}.json: {error}") from error
+    sigma_factors = tree.get("sigma_factors")
+    fitted = FittedNetwork(
+        **{name: jax.tree.map(jnp.asarray, tree[name]) for name in names}, num_members=config.ensemble
+    )
     return ForwardModel(fitted, config, sigma_factors)
 
 

@@ -3,16 +3,18 @@
 from qjrl.config import ConfigError
 
 
-def substeps_of(period: float, timestep: float) -> int:
+def substeps_of(period: float, timestep: float, key: str = "control_period") -> int:
     """Time steps [s] in a control period [s].
 
+    Args:
+        key: of the period in the configuration, for the error line.
     Raises:
         ConfigError: the period is no multiple of the time step, so that another period would be played than the one asked for.
     """
     count = round(period / timestep)
     if count < 1 or abs(count * timestep - period) > 1e-9 * period:
         raise ConfigError(
-            f"control_period: got {period:g} s, allowed: a multiple of the physics' time step, {timestep:g} s; "
+            f"{key}: got {period:g} s, allowed: a multiple of the physics' time step, {timestep:g} s; "
             f"time steps that fit are {_fitting(period, timestep)}"
         )
     return count

@@ -16,17 +16,31 @@ from qjrl.analysis.report_html import Number
 from qjrl.analysis.tables import as_text
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
-from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
-from qjrl.plain_json import numbers_again
+from qjrl.measured import read_metrics, read_progress
 from qjrl.provenance import read_provenance
+from qjrl.records import NUMBER, Kinds
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
+
+_ERRORS: Kinds = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
+_FITTED: Kinds = {
+    "form": str,
+    "best_epoch": int,
+    "held_out": _ERRORS,
+    "nominal": _ERRORS,
+    "rows": {"held_out": int, "fitted": int},
+}
+_START: Kinds = dict.fromkeys(("uniform_median_mm", "near_home_median_mm"), NUMBER)
+_TRAINED: Kinds = {
+    **dict.fromkeys(("kept_env_steps", "env_steps", "invalid_steps"), int),
+    **dict.fromkeys(("steps_per_second", "bare_steps_per_second", "share_of_bare_rate"), NUMBER),
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,13 +51,14 @@ class Config:
     name: str
     seed: int
 
-    def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps."""
+        check_control_period(self.policy.environment, self.simulation.timestep)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `outcomes.npz` and `report.html`; the table goes to the log."""
-    robot = robot_from_mapping(config.robot)
+    robot, measured = robot_from_mapping(config.robot), _measured(inputs)
     targets = artifacts.load(inputs["ik"] / "held_out.npz")
     policy = load_policy(inputs["policy"] / "policy")
     total = (len(BASES) + 1) * len(targets["target"]) * config.policy.environment.episode_steps
@@ -53,8 +68,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         outcome_of(name, target_set, one.position_error, one.orientation_error, one.strand_tension, left_out)
         for (target_set, name), (one, left_out) in judged.items()
     ]
-    trained = numbers_again(artifacts.load(inputs["policy"] / "metrics.json"))
-    verdict = _verdict(config, outcomes, trained)
+    verdict = _verdict(config, outcomes, measured.trained)
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
     artifacts.write_json(
         out / "metrics.json",
@@ -65,7 +79,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
             "controllers": measures.metrics_of(outcomes),
         },
     )
-    write_report(out / "report.html", _report(config, robot, inputs, out, outcomes, targets))
+    write_report(out / "report.html", _report(config, robot, inputs, out, outcomes, targets, measured))
     log.info("%s", as_text(measures.error_table(outcomes)))
     log.info("%s", as_text(measures.tension_table(outcomes)))
     log.info("%s. %s", verdict.headline, verdict.detail)
@@ -84,6 +98,30 @@ def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures
     return dataclasses.replace(verdict, holds=None, headline=_UNTRAINED)
 
 
+@dataclasses.dataclass(frozen=True)
+class _Measured:
+    """What the stages before this one measured."""
+
+    fitted: dict
+    inverted: dict
+    trained: dict
+    """With the errors before any training under "base" or "untrained"."""
+    fit: list[dict]
+    training: list[dict]
+
+
+def _measured(inputs: dict[str, Path]) -> _Measured:
+    trained = read_metrics(inputs["policy"] / "metrics.json", _TRAINED)
+    start = "base" if "base" in trained else "untrained"
+    return _Measured(
+        read_metrics(inputs["forward_model"] / "metrics.json", _FITTED),
+        read_metrics(inputs["ik"] / "metrics.json", {"targets_per_second": NUMBER}),
+        read_metrics(inputs["policy"] / "metrics.json", {**_TRAINED, start: _START}),
+        read_progress(inputs["forward_model"] / "progress.jsonl", "epoch"),
+        read_progress(inputs["policy"] / "progress.jsonl", "env_steps"),
+    )
+
+
 def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
     """Raw errors of every controller, named "SET/CONTROLLER/QUANTITY"."""
     return {
@@ -94,35 +132,33 @@ def _columns(outcomes: list[Outcome]) -> dict[str, np.ndarray]:
 
 
 def _report(
-    config: Config, robot: Robot, inputs: dict[str, Path], out: Path, outcomes: list[Outcome], targets
+    config: Config,
+    robot: Robot,
+    inputs: dict[str, Path],
+    out: Path,
+    outcomes: list[Outcome],
+    targets,
+    measured: _Measured,
 ) -> Report:
     data = artifacts.load(inputs["sample"], robot_hash(robot))
-    fitted, inverted, trained = (
-        numbers_again(artifacts.load(inputs[stage] / "metrics.json")) for stage in ("forward_model", "ik", "policy")
-    )
-    verdict = _verdict(config, outcomes, trained)
+    verdict = _verdict(config, outcomes, measured.trained)
     unsettled = int(np.sum(~data["converged"]))
     return Report(
         title=f"{robot.name}, run {config.name}",
         headline=verdict.headline,
         detail=verdict.detail,
         holds=verdict.holds,
-        summary=_summary(outcomes, fitted, trained),
+        summary=_summary(outcomes, measured.fitted, measured.trained),
         warnings=sections.warnings_of(outcomes, len(data["seed"]), unsettled),
         sections=(
             sections.results_section(outcomes, _RESULTS_TEXT, config.robot["strands"]["pretension"]),
             _arm_section(robot, targets),
             sections.sample_section(robot, data),
-            sections.forward_model_section(
-                fitted, numbers_again(artifacts.load(inputs["forward_model"] / "progress.jsonl"))
-            ),
-            sections.ik_section(targets, inverted, TARGET_SETS),
-            _policy_section(inputs["policy"], trained),
+            sections.forward_model_section(measured.fitted, measured.fit),
+            sections.ik_section(targets, measured.inverted, TARGET_SETS),
+            _policy_section(measured.training, measured.trained),
         ),
-        durations={
-            stage: artifacts.read_record(path / artifacts.DONE, {"seconds": int | float}, "a done-marker")["seconds"]
-            for stage, path in inputs.items()
-        },
+        durations={stage: _seconds(path) for stage, path in inputs.items()},
         provenance=read_provenance(out),
     )
 
@@ -155,7 +191,7 @@ def _arm_section(robot: Robot, targets):
     return sections.arm_section(robot, bends, targets["target"][rows], positions[0])
 
 
-def _policy_section(directory: Path, trained: dict):
+def _policy_section(records: list[dict], trained: dict):
     numbers = (
         Number("environment steps", trained["env_steps"]),
         Number(
@@ -168,7 +204,7 @@ def _policy_section(directory: Path, trained: dict):
     )
     name, start = ("base", trained["base"]) if "base" in trained else ("untrained policy", trained["untrained"])
     return sections.policy_section(
-        numbers_again(artifacts.load(directory / "progress.jsonl")),
+        records,
         {"evaluation/uniform_median_mm": "uniform bends", "evaluation/near_home_median_mm": "near home"},
         {
             f"{name}, uniform bends": start["uniform_median_mm"],

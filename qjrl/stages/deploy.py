@@ -20,7 +20,7 @@ from qjrl.control.bases import command_column, environment_of
 from qjrl.control.deployable import ControllerFunctions, checked_policy, controller_functions
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import arrives_in_time
-from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.simulated_arm import SimulatedArm, rehearse
 from qjrl.deployment import onnx_model
 from qjrl.deployment.controller import deployed_controller
@@ -49,8 +49,9 @@ class Config:
     deploy: DeployConfig
     seed: int
 
-    def __post_init__(self):
-        substeps_of(self.policy.environment.control_period, self.simulation.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps."""
+        check_control_period(self.policy.environment, self.simulation.timestep)
         replay = self.deploy.replay
         if replay and not Path(replay).is_file():
             raise ConfigError(f"deploy.replay: {replay} does not exist; give the log.npz of a deployment")

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, train_policy
+from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, check_training, train_policy
 from qjrl.learning import processes
-from qjrl.plain_json import numbers_again
+from qjrl.measured import read_progress
+from qjrl.records import NUMBER, check_record
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import EngineConfig
 
 log = logging.getLogger(__name__)
+
+_AT_THE_START = ("evaluation/median_mm", "evaluation/uniform_median_mm", "evaluation/near_home_median_mm")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,8 +28,9 @@ class Config:
     policy: PolicyConfig
     seed: int
 
-    def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.engine.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps, and the devices share the arms."""
+        check_training(self.policy, self.engine)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
@@ -37,12 +40,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     trained = train_policy(robot, config.engine, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return
-    records = numbers_again(artifacts.load(out / "progress.jsonl"))
+    records = read_progress(out / "progress.jsonl", "env_steps")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
-    physics_rate = float(
-        np.median([record["physics_steps_per_second"] for record in artifacts.load(out / PHYSICS_RATES)])
-    )
+    physics = read_progress(out / PHYSICS_RATES, "physics_steps_per_second")
+    physics_rate = float(np.median([record["physics_steps_per_second"] for record in physics]))
     judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
+    check_record(out / "progress.jsonl", records[0], dict.fromkeys(_AT_THE_START, NUMBER), "the log of a training")
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
         "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],

@@ -33,7 +33,7 @@ class Config:
     pretension: PretensionConfig
     seed: int
 
-    def __post_init__(self):
+    def check(self) -> None:
         if self.pretension.path is not None:  # a file that is no path is refused before any work
             read_path(robot_from_mapping(self.robot), self.pretension.path)
 

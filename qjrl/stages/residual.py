@@ -10,7 +10,7 @@ from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.residual import figures, tables
 from qjrl.analysis.tables import as_markdown, as_text
-from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.policy_training import PolicyConfig, check_training
 from qjrl.control.studies.parameter_effects import one_at_a_time
 from qjrl.control.studies.residual import (
     ResidualStudyConfig,
@@ -23,7 +23,6 @@ from qjrl.control.studies.residual import (
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import EngineConfig
 
 log = logging.getLogger(__name__)
@@ -37,8 +36,9 @@ class Config:
     residual: ResidualStudyConfig
     seed: int
 
-    def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.engine.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps, and the devices share the arms."""
+        check_training(self.policy, self.engine)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

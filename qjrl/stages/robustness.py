@@ -12,12 +12,11 @@ from qjrl.analysis.robustness.figures import errors_by_disturbance
 from qjrl.analysis.robustness.report import robustness_metrics, robustness_table
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.bases import controller_name
-from qjrl.control.policy_training import PolicyConfig
+from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.studies.robustness import RobustnessConfig, disturbances, judge_disturbed
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -33,8 +32,9 @@ class Config:
     robustness: RobustnessConfig
     seed: int
 
-    def __post_init__(self) -> None:
-        substeps_of(self.policy.environment.control_period, self.physics.timestep)
+    def check(self) -> None:
+        """The control period holds whole time steps."""
+        check_control_period(self.policy.environment, self.physics.timestep)
 
     @property
     def physics(self) -> SettleConfig | EngineConfig:

@@ -37,10 +37,10 @@ class Config:
     track: TrackConfig
     seed: int
 
-    def __post_init__(self):
+    def check(self) -> None:
         # a file that is no path of this arm is refused before any work
         make_path(self.track.path, self.track.shape, robot=robot_from_mapping(self.robot))
-        substeps_of(self.track.period, self.simulation.timestep)
+        substeps_of(self.track.period, self.simulation.timestep, "track.period")
 
     @property
     def files(self) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Whatever is typed, and whatever became of the files: the command works, or says one line."""
 
+import dataclasses
 import json
 import random
 import shutil
@@ -8,6 +9,7 @@ from typing import Any
 
 import pytest
 from command import Command, Said, assert_one_line
+from hydra._internal.hydra import Hydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 
@@ -22,14 +24,27 @@ from qjrl.robot import load_robot
 CHOICES = {"robot": "qj_22", "simulation": "mujoco"}
 
 
-def assert_told(said: Said, about: Any) -> None:
-    """It works, or says one line."""
+def assert_told(said: Said, about: Any, most_runs: int = 1) -> None:
+    """It works, or says one line; a sweep one for each of its runs."""
     try:
         assert "Traceback" not in said.out + said.err
         if said.code:
-            assert_one_line(said, code=(1, 2))
+            lines = said.err.splitlines() if most_runs > 1 else [said.err]
+            assert 1 <= len(lines) <= most_runs
+            for line in lines:
+                assert_one_line(dataclasses.replace(said, err=line), code=(1, 2))
     except AssertionError as error:
         raise AssertionError(f"{about!r}: {error}") from error
+
+
+MOST_RUNS = 8
+"""Of a sweep: three keys with two values each."""
+
+
+@pytest.fixture(autouse=True)
+def _composed_once(monkeypatch) -> None:
+    """Hydra composes once more beforehand, only to see whether `hydra.mode` is set; no command here sets it."""
+    monkeypatch.setattr(Hydra, "get_mode", lambda *_, **__: None)
 
 
 KEYS = (
@@ -97,9 +112,25 @@ def try_commands(qjrl: Command, count: int, seed: int) -> None:
     for _ in range(count):
         arguments = random_command(draw)
         said = qjrl(*arguments)
-        assert_told(said, arguments)
+        assert_told(said, arguments, MOST_RUNS if "-m" in arguments else 1)
         codes.add(said.code)
     assert {0, 2} <= codes
+
+
+@pytest.mark.parametrize("value", ["${nothing}", "${seed", "${seed}", "${robot.link_length}", "${name}", "${now:x"])
+@pytest.mark.parametrize(
+    "key", ["simulation.timestep", "seed", "++seed", "robot.joint.bend_limit_deg", "stages", "name"]
+)
+def test_a_value_that_refers_to_another_works_or_is_one_line(qjrl, key, value) -> None:
+    assert_told(qjrl(f"{key}={value}"), (key, value))
+
+
+def test_a_sweep_over_a_reference_that_leads_nowhere_keeps_the_record_of_every_run(qjrl) -> None:
+    said = qjrl("-m", "simulation.timestep=${nothing}", "seed=1,2")
+    assert said.code == 1
+    assert said.err.splitlines() == 2 * ["simulation.timestep: Interpolation key 'nothing' not found"]
+    rows = json.loads(Path("outputs/default/sweep.json").read_text())
+    assert [row["status"] for row in rows] == ["bad input", "bad input"]
 
 
 def test_random_commands_work_or_are_one_line(qjrl) -> None:

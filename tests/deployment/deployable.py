@@ -15,6 +15,7 @@ from qjrl.deployment.export import ExportConfig
 from qjrl.deployment.parity import ParityConfig
 from qjrl.learning.fitting import FittedNetwork
 from qjrl.learning.networks import NetworkConfig
+from qjrl.provenance import provenance
 from qjrl.robot import robot_hash
 from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, make_network, save_forward_model
 
@@ -43,7 +44,7 @@ def make_run(directory: Path, model: ForwardModel) -> Path:
     dataset = artifacts.done_marker(directory / "dataset") or {}
     folder = directory / "forward_model"
     save_forward_model(folder / "model", ARM, model)
-    artifacts.write_json(folder / artifacts.PROVENANCE, {"seed": 0})
+    artifacts.write_json(folder / artifacts.PROVENANCE, provenance({}, 0, None))
     artifacts.mark_done(folder, robot_hash=HASH, inputs={"sample": dataset["output_hash"]})
     return directory
 

@@ -23,7 +23,7 @@ def test_whatever_an_arm_does_is_plausible_and_in_millimetres_it_is_not(name):
     lengths, poses = over_rows(cable_lengths, arm, bends), over_rows(forward_kinematics, arm, bends)
     check_cable_lengths(arm, lengths, strokes=1.0 + 1e-9)
     check_positions(arm, poses[:, :3], "here")
-    home = np.asarray(forward_kinematics(arm, np.zeros((arm.num_segments, 2))))
+    home = np.asarray(forward_kinematics(arm, jnp.zeros((arm.num_segments, 2))))
     assert straight_length(arm) == pytest.approx(home[2], rel=1e-12)
     for factor in (1000.0, 100.0):
         with pytest.raises(ConfigError, match="in millimetres"):

@@ -6,6 +6,7 @@ import pytest
 from qjrl import artifacts, pipeline
 from qjrl.config import ConfigError, as_mapping, build, conf_folder, read_yaml
 from qjrl.control.tension.pretension import PretensionConfig
+from qjrl.provenance import provenance
 from qjrl.simulation import SettleConfig
 from qjrl.stages import pretension as stage
 
@@ -15,7 +16,7 @@ def run(out, **changes):
     settings = PretensionConfig(
         num_poses=8, pretensions=(5.0, 30.0), resolution=1.0, num_angles=2, num_directions=3, **changes
     )
-    artifacts.write_json(out / artifacts.PROVENANCE, {"seed": 0})
+    artifacts.write_json(out / artifacts.PROVENANCE, provenance({}, 0, None))
     stage.run(stage.Config(robot, SettleConfig(batch_size=32), settings, 0), {}, out)
     return artifacts.load(out / "metrics.json")
 

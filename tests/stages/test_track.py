@@ -102,7 +102,7 @@ def test_a_bad_path_is_refused_before_anything_is_written(tmp_path) -> None:
     tree = {"robot": ROBOT, "simulation": {}, "seed": 0}
     for path, words in {"nowhere.csv": "nowhere.csv: cannot be read", "spiral": "track.path: got 'spiral'"}.items():
         with pytest.raises(ConfigError, match=words):
-            build(track.Config, tree | {"track": as_mapping(SETTINGS) | {"path": path}})
+            build(track.Config, tree | {"track": as_mapping(SETTINGS) | {"path": path}}).check()
     with pytest.raises(ArtifactError, match=r"track: needs .*forward_model, which does not exist"):
         pipeline.run(["track"], {"track": config("line")}, tmp_path)
     assert not (tmp_path / "track").exists()

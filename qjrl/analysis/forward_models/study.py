@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl import artifacts
 from qjrl.analysis.forward_models.latency import LatencyConfig, measure_latency
 from qjrl.config import Range, as_mapping
+from qjrl.measured import read_progress
 from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, pose_function
 from qjrl.robot.model_fitting import Rows, fit_rows, pose_errors, settled_split
 from qjrl.robot.model_uncertainty import calibrate
@@ -132,7 +132,7 @@ def run_fit(
     """One fit and its result; the fitting loop reads a finished fit again and goes on with an interrupted one."""
     train = {name: column[: fit.rows] for name, column in split[0].items()}
     model, result = fit_rows(robot, fit.config, (train, split[1]), seed, directory, label=fit.name)
-    last = artifacts.load(directory / "progress.jsonl")[-1]
+    last = read_progress(directory / "progress.jsonl", "cpu_seconds")[-1]
     sample = {name: column[: len(split[1]["seed"])] for name, column in train.items()}
     return model, {
         "rows": fit.rows,

@@ -22,6 +22,8 @@ from qjrl.control.studies.parameter_effects import one_at_a_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import key_for, seed_for
 from qjrl.learning.ppo.policy import Policy
+from qjrl.measured import read_metrics
+from qjrl.records import NUMBER
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
@@ -30,7 +32,8 @@ from qjrl.simulation.rested import require_valid
 
 Arrays = Mapping[str, np.ndarray]
 
-_JUDGED = {"identity": str, "errors": dict}
+_ERRORS = {f"{name}_{key}": NUMBER for name in TARGET_SETS for key in ("median_mm", "p90_mm", "median_deg")}
+_JUDGED = {"identity": str, "errors": {"base": _ERRORS, "policy": _ERRORS}}
 RIVAL: Base = "integral"
 
 
@@ -142,7 +145,7 @@ def ablate(
         identity = artifacts.hash_of(
             [identity_of(config), identity_of(subject.engine), settings.num_targets, subject.seed]
         )
-        if done.exists() and (known := artifacts.read_record(done, _JUDGED, "an ablation"))["identity"] == identity:
+        if done.exists() and (known := read_metrics(done, _JUDGED))["identity"] == identity:
             found[name] = known["errors"]
         else:
             trained = train_policy(subject.robot, subject.engine, config, bank, subject.seed, path)

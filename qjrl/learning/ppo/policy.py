@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from qjrl.artifacts import ArtifactError
 from qjrl.learning.parameters import load_parameters, save_parameters
 
 ACTIVATIONS = {"swish": jax.nn.swish, "elu": jax.nn.elu, "tanh": jnp.tanh, "relu": jax.nn.relu}
@@ -62,6 +63,15 @@ def save_policy(path: str | Path, policy: Policy) -> None:
 
 
 def load_policy(path: str | Path) -> Policy:
-    """Reads what `save_policy` wrote; the arrays are numpy, on the host."""
-    arrays, description = load_parameters(path)
+    """Reads what `save_policy` wrote; the arrays are numpy, on the host.
+
+    Raises:
+        ArtifactError: missing, damaged, or no policy.
+    """
+    kinds, names = {"activation": str, "observation_clip": int | float}, ("layers", "mean", "std")
+    tree, description = load_parameters(path, kinds, names)
+    if description["activation"] not in ACTIVATIONS:
+        allowed = ", ".join(ACTIVATIONS)
+        raise ArtifactError(f"{path}.json: activation: got '{description['activation']}', allowed: {allowed}")
+    arrays = {name: tree[name] for name in names}
     return Policy(**arrays, activation=description["activation"], observation_clip=description["observation_clip"])
