@@ -4,8 +4,8 @@ One arm is a batch of one; `jax.vmap` of it is a batch again, so there is no sec
 of brax's `EpisodeWrapper`, which alone knows how to say that an episode was cut off: give it `env.episode_length`. `done`
 is the arm's loss or a divergence.
 
-With the pinned jax brax 0.14.2's `ppo.train`, `sac.train` and `apg.train` raise (they call `jax.device_put_replicated`, which is
-gone); `acting.generate_unroll`, the networks, the losses and `envs.training.wrap` run.
+With the pinned jax brax 0.14.2's `ppo.train` raises (it calls `jax.device_put_replicated`, which is gone), and `apg.train`
+takes no observation of several parts; `acting.generate_unroll`, the networks, the losses and `envs.training.wrap` run.
 """
 
 import contextlib
