@@ -66,9 +66,8 @@ class BraxResidualEnv(Env):
 def _endless(state: State) -> State:
     """Without a time limit of its own."""
     steps = jnp.full_like(state.inner.episode.episode_steps, jnp.iinfo(jnp.int32).max)
-    return state.replace(
-        inner=state.inner.replace(episode=dataclasses.replace(state.inner.episode, episode_steps=steps))
-    )  # pyright: ignore[reportAttributeAccessIssue]
+    episode = dataclasses.replace(state.inner.episode, episode_steps=steps)
+    return dataclasses.replace(state, inner=dataclasses.replace(state.inner, episode=episode))
 
 
 def _as_brax(state: State, info: dict[str, Any]) -> BraxState:

@@ -47,8 +47,6 @@ class _Physics:
     """`dof_invweight0`: follows the armature, and with it how hard the equality rows are."""
     tendon_inverse_inertia: Rows = None
     """`tendon_invweight0`: likewise for the height, stop and friction rows."""
-    mean_inertia: Rows = None
-    """Scale of the solver's tolerance."""
 
 
 @struct.dataclass
@@ -142,9 +140,7 @@ class MjxEngine:
         )
         physics = jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), physics)
         inertias = jax.vmap(partial(_inertias, self.plain))(physics)
-        return dataclasses.replace(
-            physics, joint_inverse_inertia=inertias[0], tendon_inverse_inertia=inertias[1], mean_inertia=inertias[2]
-        )
+        return dataclasses.replace(physics, joint_inverse_inertia=inertias[0], tendon_inverse_inertia=inertias[1])
 
 
 class HostModel:
@@ -166,15 +162,16 @@ def mjx_engine(robot: Robot, timestep: float, backend: Backend) -> MjxEngine:
     return MjxEngine(robot, arm.model, arm.data, plain.model, timestep, arm.tip, HostModel(arm.host))
 
 
-def _inertias(model: mjx.Model, physics: _Physics) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """What MuJoCo's `mj_setConst` derives at home: inverse inertias of joints and tendons, and the mean inertia."""
+def _inertias(model: mjx.Model, physics: _Physics) -> tuple[jax.Array, jax.Array]:
+    """What MuJoCo's `mj_setConst` derives at home: inverse inertias of joints and tendons. (The mean inertia, the scale of the
+    solver's tolerance, stays the model's.)"""
     model = _with_inertia(model, physics)
     data = mjx.make_data(model)
     data = mjx.tendon(model, mjx.crb(model, mjx.com_pos(model, mjx.kinematics(model, data))))
     mass = mjx.full_m(model, data)
     inverse = jnp.linalg.inv(mass)
     slopes = data._impl.ten_J
-    return jnp.diag(inverse), jnp.sum((slopes @ inverse) * slopes, axis=1), jnp.mean(jnp.diag(mass))
+    return jnp.diag(inverse), jnp.sum((slopes @ inverse) * slopes, axis=1)
 
 
 def _with_inertia(model: mjx.Model, physics: _Physics) -> mjx.Model:
@@ -200,6 +197,5 @@ def _individual(model: mjx.Model, physics: _Physics) -> mjx.Model:
             "opt.gravity": physics.gravity,
             "dof_invweight0": physics.joint_inverse_inertia,
             "tendon_invweight0": physics.tendon_inverse_inertia,
-            "stat.meaninertia": physics.mean_inertia,
         }
     )
