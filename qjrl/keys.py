@@ -17,6 +17,7 @@ Purpose = Literal[
     "arms of the comparison",
     "arms of the residual study",
     "encoder floor of the residual study",
+    "dagger",
     "held-out targets",
     "target bank",
     "targets of the open loop",

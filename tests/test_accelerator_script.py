@@ -16,12 +16,13 @@ KEYS = {
     "training": {
         "arms",
         "setup_seconds",
-        "dagger_first_seconds",
-        "dagger_steps_per_second",
+        "imitation_first_seconds",
+        "imitation_steps_per_second",
         "ppo_first_seconds",
         "ppo_steps_per_second",
         "ppo_iterations",
-        "ppo_collecting_seconds",
+        "ppo_environment_seconds",
+        "ppo_act_seconds",
         "ppo_learning_seconds",
     },
 }

@@ -16,7 +16,6 @@ FLOORS = {
     "artifacts": 1,
     "cores": 1,
     "keys": 1,
-    "xla_options": 1,
     "progress": 1,
     "robot": 2,
     "simulation": 3,
@@ -35,7 +34,7 @@ FLOORS |= {"provenance": 1.5, "kept": 1, "table_file": 1, "shipped": 1.5, "measu
 # What the ground stands on: YAML and JSON as they are read and written, errors of the machine.
 FLOORS |= {"plain_yaml": 0, "plain_json": 0, "machine": 0, "records": 0}
 DOOR = {"cli", "__main__"}
-GROUND = {"config", "artifacts", "keys", "progress", "xla_options"}
+GROUND = {"config", "artifacts", "keys", "progress"}
 """The files of floor 1 that the folders of floor 1 may use too."""
 
 

@@ -2,13 +2,10 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-from flax import struct
 from mujoco import batch
 
 from qjrl.cores import usable_cores
@@ -17,47 +14,44 @@ from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.payload import tip_body
 
-# Beyond it a simulation counts as diverged, in every engine [rad, rad/s].
-LARGEST_VALUE = 1e4
 
+@dataclasses.dataclass(frozen=True)
+class Readout:
+    """The physics of all simulations after a step; arrays are live views, copy what must last."""
 
-@struct.dataclass
-class PlantState:
-    """The physics of all simulations after a step, one row a simulation; of C MuJoCo live views, copy what must last."""
-
-    joint_positions: Any
+    joint_positions: np.ndarray
     """(n, nq) [rad, m]."""
-    joint_velocities: Any
+    joint_velocities: np.ndarray
     """(n, nv) [rad/s, m/s]."""
-    strand_lengths: Any
+    strand_lengths: np.ndarray
     """(n, strands) [m]."""
-    strand_velocities: Any
+    strand_velocities: np.ndarray
     """(n, strands) [m/s]."""
-    strand_tension: Any
+    strand_tension: np.ndarray
     """(n, strands) [N]."""
-    pose: Any
+    pose: np.ndarray
     """(n, 9) [m, -]."""
-    is_sound: Any
+    is_finite: np.ndarray
     """(n,) False where the simulation diverged since its last reset."""
 
 
-@struct.dataclass
+@dataclasses.dataclass(frozen=True)
 class PhysicalParameters:
     """What may differ between simulations, one value a simulation; ones, zeros and the robot's gravity are nominal."""
 
-    strand_damping_scale: Any
+    strand_damping_scale: np.ndarray
     """(n,) times the robot's."""
-    strand_friction: Any
+    strand_friction: np.ndarray
     """(n,) dry friction along every strand [N]."""
-    armature_scale: Any
+    armature_scale: np.ndarray
     """(n,) times the robot's."""
-    gain_scale: Any
+    gain_scale: np.ndarray
     """(n,) times the strand servo's stiffness."""
-    tilt: Any
+    tilt: np.ndarray
     """(n, 2) rotation of gravity about the base's x and y [rad]."""
-    strand_stiffness_scale: Any
+    strand_stiffness_scale: np.ndarray
     """(n, strands) times the stiffness of each strand, on top of `gain_scale`."""
-    payload: Any
+    payload: np.ndarray
     """(n,) mass at the tip [kg], in place of the robot's."""
 
     @classmethod
@@ -74,7 +68,7 @@ class PhysicalParameters:
         )
 
     @property
-    def strand_gain(self) -> Any:
+    def strand_gain(self) -> np.ndarray:
         """(n, strands) times the stiffness as described, of both scales together."""
         return self.gain_scale[:, None] * self.strand_stiffness_scale
 
@@ -90,7 +84,7 @@ class PhysicalParameters:
 
 @runtime_checkable
 class Stepper(Protocol):
-    """Many simulations of one robot, stepped together: on the host: C MuJoCo, or an engine of JAX."""
+    """Many simulations of one robot, stepped together: the one contract of both engines."""
 
     num_sims: int
     timestep: float
@@ -105,7 +99,7 @@ class Stepper(Protocol):
         """Hold rest lengths (n, strands) [m] for `num_steps` time steps."""
         ...
 
-    def read(self) -> PlantState:
+    def read(self) -> Readout:
         """The state of all simulations now."""
         ...
 
@@ -155,22 +149,21 @@ class MujocoStepper:
         except batch.SimulationError as error:
             self._has_failed[list(error.ids)] = True
 
-    def read(self) -> PlantState:
+    def read(self) -> Readout:
         """The state of all simulations now."""
         rotation = self._tip_rotation.reshape(-1, 3, 3)
         pose = np.concatenate([self._tip_position, rotation[:, :, 0], rotation[:, :, 1]], axis=1)
         has_warned = self._warning[:, :, 1].any(axis=1)
-        is_plausible = (np.abs(self._velocities) < LARGEST_VALUE).all(axis=1)  # False for NaN
-        is_sound = ~(has_warned | self._has_failed) & is_plausible & np.isfinite(pose).all(axis=1)
+        is_finite = ~(has_warned | self._has_failed) & np.isfinite(pose).all(axis=1)
         strands = slice(0, self.num_strands)
-        return PlantState(
+        return Readout(
             self._positions,
             self._velocities,
             self._lengths[:, strands],
             self._rates[:, strands],
             0.0 - self._force,
             pose,
-            is_sound,
+            is_finite,
         )
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -209,9 +202,9 @@ class MujocoStepper:
             self._batch.expand("body_inertia")[ids, body] = tip.inertia
 
 
-def tilted(gravity: Any, tilt: Any) -> jax.Array:
-    """Gravity (3,) rotated about x, then y, by angles (n, 2) [rad]: (n, 3)."""
-    (cx, cy), (sx, sy) = jnp.cos(tilt).T, jnp.sin(tilt).T
+def tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:
+    """Gravity (n, 3) rotated about x, then y, by angles (n, 2) [rad]."""
+    (cx, cy), (sx, sy) = np.cos(tilt).T, np.sin(tilt).T
     x, y, z = gravity
     y_turned, z_turned = cx * y - sx * z, sx * y + cx * z
-    return jnp.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)
+    return np.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)
