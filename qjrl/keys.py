@@ -17,7 +17,6 @@ Purpose = Literal[
     "arms of the comparison",
     "arms of the residual study",
     "encoder floor of the residual study",
-    "dagger",
     "held-out targets",
     "target bank",
     "targets of the open loop",

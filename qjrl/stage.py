@@ -4,7 +4,7 @@ A stage is a module with a frozen dataclass `Config`, whose fields are top-level
 ``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
 
 Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
-reads beside them), `packages` (what -> which, of extras that change what it writes) and `blocks` (in which it computes);
+reads beside them), `packages` (what -> which, of extras that change what it writes);
 not on fields that cannot change a result (`config.NotIdentity`). Output of another identity makes room and is kept; it is
 taken back when its identity is asked for again.
 
@@ -133,7 +133,7 @@ def _inputs(stages: Stages, name: str, run_dir: Path) -> dict[str, Path]:
 def _identity(stages: Stages, name: str, config: Any, run_dir: Path) -> dict[str, Any]:
     """What the output of a stage depends on."""
     robot_hash, inputs = robot_hash_of(config), _inputs(stages, name, run_dir)
-    outside = getattr(config, "files", {}) | getattr(config, "packages", {}) | getattr(config, "blocks", {})
+    outside = getattr(config, "files", {}) | getattr(config, "packages", {})
     for directory in inputs.values():
         if artifacts.done_marker(directory) is None:
             state = "is not finished" if directory.exists() else "does not exist"

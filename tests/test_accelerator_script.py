@@ -16,13 +16,12 @@ KEYS = {
     "training": {
         "arms",
         "setup_seconds",
-        "imitation_first_seconds",
-        "imitation_steps_per_second",
+        "dagger_first_seconds",
+        "dagger_steps_per_second",
         "ppo_first_seconds",
         "ppo_steps_per_second",
         "ppo_iterations",
-        "ppo_environment_seconds",
-        "ppo_act_seconds",
+        "ppo_collecting_seconds",
         "ppo_learning_seconds",
     },
 }

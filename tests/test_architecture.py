@@ -16,6 +16,7 @@ FLOORS = {
     "artifacts": 1,
     "cores": 1,
     "keys": 1,
+    "xla_options": 1,
     "progress": 1,
     "robot": 2,
     "simulation": 3,
@@ -34,7 +35,7 @@ FLOORS |= {"provenance": 1.5, "kept": 1, "table_file": 1, "shipped": 1.5, "measu
 # What the ground stands on: YAML and JSON as they are read and written, errors of the machine.
 FLOORS |= {"plain_yaml": 0, "plain_json": 0, "machine": 0, "records": 0}
 DOOR = {"cli", "__main__"}
-GROUND = {"config", "artifacts", "keys", "progress"}
+GROUND = {"config", "artifacts", "keys", "progress", "xla_options"}
 """The files of floor 1 that the folders of floor 1 may use too."""
 
 

@@ -39,11 +39,28 @@ def test_the_default_stages_are_those_that_are_not_on_demand() -> None:
 
 
 def test_the_paper_s_policy_trains_in_mjx_where_that_is_the_simulation() -> None:
-    """In minimal coordinates `simulation` would not reach the training at all."""
-    config = pipeline.build_configs(tree_of("+experiment=paper", "simulation=mjx"))["policy"]
-    assert (config.policy.engine, config.simulation.backend) == ("simulation", "mjx")
-    in_coordinates = pipeline.build_configs(tree_of("policy=paper", "policy.engine=minimal"))["policy"]
-    assert in_coordinates.policy.engine == "minimal"
+    configs = pipeline.build_configs(tree_of("+experiment=paper", "policy=paper", "simulation=mjx"))
+    config, backend = configs["policy"], configs["robustness"].simulation.backend
+    assert (config.engine.kind, config.policy.base, backend) == ("mjx", "learned", "mjx")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "kind"),
+    [
+        ((), "minimal"),
+        (("simulation=mujoco",), "minimal"),
+        (("simulation=mjx",), "mjx"),
+        (("simulation=mjx_warp",), "mjx-warp"),
+        (("engine=mjx",), "mjx"),
+        (("engine=minimal", "simulation=mjx"), "minimal"),
+        (("simulation=mjx", "engine=minimal"), "minimal"),
+    ],
+)
+def test_what_policies_train_in_follows_the_simulation_unless_it_is_chosen(overrides, kind) -> None:
+    tree, timestep = tree_of(*overrides), {"minimal": 0.005, "mjx": 0.004, "mjx-warp": 0.004}[kind]
+    engines = [config.engine for config in pipeline.build_configs(tree).values() if hasattr(config, "engine")]
+    assert len(engines) == 3  # policy, residual, robustness
+    assert {(engine.kind, engine.timestep) for engine in engines} == {(kind, timestep)}
 
 
 @pytest.mark.parametrize("choice", [choice for choice in choices() if "experiment" not in choice])

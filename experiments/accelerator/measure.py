@@ -16,7 +16,7 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,17 +25,16 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.config import build, conf_folder, read_yaml
 from qjrl.control.bases import environment_of
-from qjrl.control.environment import ResidualEnvironment
-from qjrl.control.episode import Bank, EnvironmentConfig
+from qjrl.control.environment import residual_env
 from qjrl.control.inversion import IKConfig, solve_model
-from qjrl.control.judging import arrives_in_time
+from qjrl.control.nominal_environment import nominal_bank
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.learning.fitting import FitState, FittedNetwork, Rows, make_optimiser, mean_squared_error, train_epoch
-from qjrl.learning.ppo.books import PROGRESS
+from qjrl.learning.ppo.checkpointer import PROGRESS
 from qjrl.learning.ppo.train import train
 from qjrl.provenance import provenance
-from qjrl.robot import cable_lengths, load_robot
+from qjrl.robot import load_robot
 from qjrl.robot.forward_model import (
     ForwardModel,
     ForwardModelConfig,
@@ -45,7 +44,8 @@ from qjrl.robot.forward_model import (
     pose_function,
 )
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.engine import EngineConfig, EngineKind
+from qjrl.simulation.engines import make_engine
 from qjrl.simulation.sampling import sample_lengths, sample_rows
 from qjrl.simulation.settle_problem import Backend, SettleConfig
 from qjrl.simulation.settling import settle
@@ -56,6 +56,8 @@ TARGETS = 512
 EPOCHS = 10
 # Scale of what the made-up forward model adds to the bends: that of what a fitted one corrects.
 CORRECTION = 1e-3
+# Their files in `conf/engine`.
+ENGINES: dict[EngineKind, str] = {"minimal": "minimal", "mjx": "mjx", "mjx-warp": "mjx_warp"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,29 +81,29 @@ def shipped[T](kind: type[T], choice: str) -> T:
     return build(kind, read_yaml(conf_folder() / f"{choice}.yaml"), choice)
 
 
-def training(engine: Backend | Literal["minimal"], bench: Bench) -> dict[str, Any]:
-    """Environment steps a second of the default policy's training: a round of imitation, iterations of PPO, learning included."""
+def training(kind: EngineKind, bench: Bench) -> dict[str, Any]:
+    """Environment steps a second of the default policy's training: a round of DAgger, iterations of PPO, learning included."""
     config = shipped(PolicyConfig, "policy/default")
     length = config.ppo.unroll_length
-    imitation = dataclasses.replace(config.ppo.imitation, rounds=2, steps=bench.steps * length)
+    dagger = dataclasses.replace(config.ppo.dagger, rounds=2, steps=bench.steps * length)
     num_steps = (bench.steps + 1) * length * bench.arms
-    ppo = dataclasses.replace(config.ppo, imitation=imitation, num_steps=num_steps, checkpoint_every=num_steps)
-    simulation = SettleConfig() if engine == "minimal" else SettleConfig(backend=engine)
+    ppo = dataclasses.replace(config.ppo, dagger=dagger, num_steps=num_steps, checkpoint_every=num_steps)
     start = time.perf_counter()
-    stepper = make_stepper(bench.robot, bench.arms, simulation, is_minimal=engine == "minimal")
     of_base = environment_of(config.environment, config.base)
-    environment = ResidualEnvironment(bench.robot, of_base, closed_form_bank(bench.robot, of_base), stepper, 0)
+    bank, engine = nominal_bank(bench.robot, of_base, TARGETS, 0), shipped(EngineConfig, f"engine/{ENGINES[kind]}")
+    env = residual_env(bench.robot, of_base, bank, make_engine(bench.robot, engine))
     setup = time.perf_counter() - start
     with tempfile.TemporaryDirectory() as directory:
-        train(environment, ppo, 0, Path(directory))
+        train(env, ppo, bench.arms, 0, Path(directory))
         records = artifacts.load(Path(directory) / PROGRESS)
     rounds, (first, *counted) = records[1:3], records[3:]
-    parts = ("environment_seconds", "act_seconds", "learning_seconds")
+    # On a CPU, where collecting and learning are two programs.
+    parts = [part for part in ("collecting_seconds", "learning_seconds") if part in first]
     return {
         "arms": bench.arms,
         "setup_seconds": setup,
-        "imitation_first_seconds": rounds[0]["imitation_seconds"],
-        "imitation_steps_per_second": imitation.steps * bench.arms / rounds[1]["imitation_seconds"],
+        "dagger_first_seconds": rounds[0]["dagger_seconds"],
+        "dagger_steps_per_second": rounds[1]["dagger_steps_per_second"],
         "ppo_first_seconds": length * bench.arms / first["steps_per_second"],
         "ppo_steps_per_second": float(np.median([record["steps_per_second"] for record in counted])),
         "ppo_iterations": len(counted),
@@ -198,14 +200,6 @@ CASES: dict[str, Case] = {
     "warp-settling": partial(settling, "mjx-warp"),
     "warp-training": partial(training, "mjx-warp"),
 }
-
-
-def closed_form_bank(robot: Robot, config: EnvironmentConfig) -> Bank:
-    """Targets with uniform bends that the arm reaches in time, and the closed form's commands for them."""
-    bends = draw_bends(robot, "uniform", TARGETS, 0)
-    lengths = jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(bends))
-    in_time = np.flatnonzero(arrives_in_time(robot, config, np.asarray(lengths)))
-    return Bank(jnp.asarray(target_poses(robot, bends)[in_time]), lengths[in_time])
 
 
 def made_up_model(robot: Robot) -> PoseFunction:

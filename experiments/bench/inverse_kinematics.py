@@ -20,10 +20,9 @@ from qjrl import artifacts
 from qjrl.config import build, conf_folder, read_yaml
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.deployment.compact_ik import CompactIKConfig, compact_ik
-from qjrl.deployment.functions import in_precision
 from qjrl.deployment.latency import measure_latency
 from qjrl.provenance import provenance
-from qjrl.robot import cable_lengths, load_robot
+from qjrl.robot import cable_lengths, in_precision, load_robot
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model, pose_function
 from qjrl.robot.model_fitting import fit_forward_model
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube

@@ -11,8 +11,9 @@ from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.minimal_stepping import MinimalStepper
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.simulation.engine import EngineConfig
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters, Stepper
 
 ROBOT, NUM_ARMS, NUM_STEPS, CONTROL_PERIOD, RAMP_STEPS = "qj_2222", 512, 40, 0.02, 100
 
@@ -21,10 +22,17 @@ def randomised(robot: Robot, count: int) -> PhysicalParameters:
     """Physical parameters as the policy trains with."""
     keys = jax.random.split(jax.random.key(0), count)
     drawn = jax.vmap(lambda key: draw_parameters(RandomisationConfig(), robot, key))(keys)
-    return PhysicalParameters(**{name: np.asarray(values) for name, values in drawn.items()})
+    return jax.tree.map(np.asarray, drawn)
 
 
-def rates(robot: Robot, stepper, start: np.ndarray, home: np.ndarray, commands: np.ndarray) -> tuple[float, float]:
+def minimal(robot: Robot, timestep: float) -> Stepper:
+    """The engine in minimal coordinates."""
+    return make_stepper(robot, NUM_ARMS, EngineConfig("minimal", timestep))
+
+
+def rates(
+    robot: Robot, stepper: Stepper, start: np.ndarray, home: np.ndarray, commands: np.ndarray
+) -> tuple[float, float]:
     """Control steps a second, by clock and by CPU time, of arms on their way from home."""
     stepper.reset(np.arange(NUM_ARMS), start, home, randomised(robot, NUM_ARMS))
     substeps = round(CONTROL_PERIOD / stepper.timestep)
@@ -51,9 +59,7 @@ def main() -> None:
     found = {}
     for name, stepper in (
         ("C MuJoCo, 4 ms", MujocoStepper(robot, NUM_ARMS)),
-        ("minimal coordinates, 4 ms", MinimalStepper(robot, NUM_ARMS, 0.004)),
-        ("minimal coordinates, 10 ms", MinimalStepper(robot, NUM_ARMS, 0.01)),
-        ("minimal coordinates, 20 ms", MinimalStepper(robot, NUM_ARMS, 0.02)),
+        *((f"minimal coordinates, {ms} ms", minimal(robot, 1e-3 * ms)) for ms in (4, 5, 10, 20)),
     ):
         found[name] = rates(robot, stepper, start, home, commands)
         clock, cpu = found[name]

@@ -9,12 +9,18 @@ from pathlib import Path
 
 from qjrl import progress
 from qjrl.artifacts import hash_of
+from qjrl.cores import usable_cores
 
 
 def prepare() -> None:
     """Environment variables and the log; the user's own settings stay."""
     os.environ["JAX_ENABLE_X64"] = "1"
     os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    if "xla_force_host_platform_device_count" not in os.environ.get(
+        "XLA_FLAGS", ""
+    ):  # training cuts its arms over them
+        flags = f"--xla_force_host_platform_device_count={usable_cores()}"
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}".strip()
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_cache()))
     if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
         os.environ["MUJOCO_GL"] = _headless_renderer()

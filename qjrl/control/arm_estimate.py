@@ -77,11 +77,11 @@ def priors(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Pri
 
 
 def estimate(config: EstimateConfig, robot: Robot, believed: Prior, mean: jax.Array, count: jax.Array) -> jax.Array:
-    """(segments, 2) [rad] from the mean (segments, 2) of `count` readings: Wiener's filter."""
+    """(segments, 2) [rad] from the mean (segments, 2) of `count` readings: the linear minimum mean-square-error update."""
     noise = _noise(config, robot).astype(mean.dtype)
-    surprise = ((mean - believed.expected) / noise).reshape(-1)
-    total = believed.covariance + jnp.eye(len(surprise), dtype=mean.dtype) / count
-    found = believed.covariance @ cholesky.solve(cholesky.factor(total), surprise)
+    innovation = ((mean - believed.expected) / noise).reshape(-1)
+    total = believed.covariance + jnp.eye(len(innovation), dtype=mean.dtype) / count
+    found = believed.covariance @ cholesky.solve(cholesky.factor(total), innovation)
     return believed.expected + noise * found.reshape(mean.shape)
 
 

@@ -11,6 +11,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.rested import require_valid
 from qjrl.simulation.settle_problem import SettleConfig
@@ -18,28 +19,27 @@ from qjrl.simulation.settle_problem import SettleConfig
 
 def compare_controllers(
     robot: Robot,
-    simulation: SettleConfig,
+    physics: SettleConfig | EngineConfig,
     config: PolicyConfig,
     policy: Policy,
     targets: Mapping[str, np.ndarray],
     seed: int,
     advance=None,
     bases: Sequence[Base] = BASES,
-    is_minimal: bool = False,
 ) -> dict[tuple[str, str], tuple[Judgement, int]]:
     """(target set, controller) -> judgement, and how many targets were left out.
 
     Args:
+        physics: what judges.
         config: as the policy was trained.
         targets: columns of `ik/held_out.npz`. Left out are targets at which one of the base commands arrives too
             late, and those on which any controller's simulation diverged: all controllers keep the same rows.
         bases: those judged beside the policy.
-        is_minimal: judge in the arm's own equations instead of the engine of `simulation`.
     """
     controllers: list[tuple[Base, Act | None]] = [*((base, None) for base in bases), (config.base, acting(policy))]
     in_time = [arrives_in_time(robot, config.environment, targets[command_column(base)]) for base, _ in controllers]
     rows = np.flatnonzero(np.all(in_time, axis=0))
-    found, stepper = {}, make_stepper(robot, len(rows), simulation, is_minimal)
+    found, stepper = {}, make_stepper(robot, len(rows), physics)
     for base, act in controllers:
         of_base = environment_of(config.environment, base)
         judge = Judge(robot, of_base, bank_of(targets, base, rows), stepper, seed_for(seed, "arms of the comparison"))

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
+from flax import struct
 
 from qjrl.control import arm_estimate, motors, tip_correction
 from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
@@ -39,8 +40,7 @@ def prepare(
 
     A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
     """
-    believed = arm_estimate.prior(config.estimate, robot, base_lengths)
-    state = start(robot, begin(config, robot, target, base_lengths, believed), reading)
+    state = start(config, robot, begin(config, robot, task_of(config, robot, target, base_lengths)), reading)
     return dataclasses.replace(state, step=state.step - 1)
 
 
@@ -61,72 +61,87 @@ def tick(
     return plan(config, robot, state, action)
 
 
-def begin(
-    config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array, believed: arm_estimate.Prior
-) -> ControlState:
-    """A new target (9,), the base controller's answer to it (num_cables,) [m], its `prior`; the arm is at home."""
-    zeros = jnp.zeros((robot.num_cables,), base_lengths.dtype)
+@struct.dataclass
+class Task:
+    """A target, the base controller's answer to it, and what follows from them alone."""
+
+    target: jax.Array
+    """(9,) pose [m, -]."""
+    base_lengths: jax.Array
+    """(num_cables,) [m]."""
+    correction: jax.Array
+    """(num_cables, 6), see `tip_correction.damped_pseudo_inverse`."""
+    prior: arm_estimate.Prior
+
+
+def task_of(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> Task:
+    """The task of a target (9,) and the base controller's answer to it (num_cables,) [m]."""
+    correction = tip_correction.damped_pseudo_inverse(robot, base_lengths)
+    return Task(target, base_lengths, correction, arm_estimate.prior(config.estimate, robot, base_lengths))
+
+
+def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
+    """The state at the begin of a task; the arm is at home."""
+    zeros = jnp.zeros((robot.num_cables,), task.base_lengths.dtype)
     residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
-    readings = jnp.zeros((robot.num_segments, 2), base_lengths.dtype)
+    readings = jnp.zeros((robot.num_segments, 2), zeros.dtype)
     return ControlState(
-        target=target,
-        base_lengths=base_lengths,
+        target=task.target,
+        base_lengths=task.base_lengths,
         command=zeros,
         trend=zeros,
         swing=jnp.asarray(config.dither.amplitude, zeros.dtype),  # friction holds an arm that hardly moves, too
-        correction=tip_correction.correction_matrix(robot, base_lengths),
-        expected=believed.expected,
-        covariance=believed.covariance,
+        correction=task.correction,
+        expected=task.prior.expected,
+        covariance=task.prior.covariance,
         integral=zeros,
         residual=residual,
         actions=jnp.zeros((ACTION_HISTORY, len(residual)), zeros.dtype),
         reading=readings,
         memory=jnp.zeros((MEMORY_SIZE, *readings.shape), zeros.dtype),
+        estimated=readings,
+        tip_error=jnp.zeros((6,), zeros.dtype),
         step=jnp.zeros((), jnp.int32),
     )
 
 
-def start(robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
+def start(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
     """The first reading (segments, 2) [rad] fills the memory."""
     memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
-    return dataclasses.replace(state, reading=reading, memory=memory)
+    return _estimated(config, robot, dataclasses.replace(state, reading=reading, memory=memory))
 
 
 def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
     """What the policy sees."""
     offset = motors.residual_lengths(config.residual, state.residual, state.correction)
-    guess, ramp, since = estimated(config, robot, state), ramped_in(config, robot, state), waited(config, robot, state)
-    return actor_observation(robot, state, guess, lacking(config, robot, state, guess), offset, ramp, since)
+    return actor_observation(robot, state, offset, ramped_in(config, robot, state), waited(config, robot, state))
 
 
-def estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """Best guess (segments, 2) [rad] of how far from where a perfect arm would be this one rests."""
+def own_action(config: ControllerConfig, state: ControlState) -> jax.Array:
+    """What the controller does without a policy (action size,): what the tip lacks by the estimate, if that shall act."""
+    if not config.estimate.acts:
+        return jnp.zeros_like(state.residual)
+    return motors.action_of(config.residual, state.tip_error, state.correction).astype(state.residual.dtype)
+
+
+def _estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> ControlState:
+    """With the estimate of where this arm rests, and of its tip's error without residual and dither: nothing before it has
+    settled."""
     since = waited(config, robot, state)
     count = readings_at_the_end(since, config.control_period) if config.remembers else jnp.ones_like(since)
     believed = arm_estimate.Prior(state.expected, state.covariance)
-    return arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
-
-
-def lacking(config: ControllerConfig, robot: Robot, state: ControlState, guess: jax.Array) -> jax.Array:
-    """What the tip would lack (6,) [m] without residual and dither by such a guess; nothing before the arm has settled."""
+    guess = arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
     held = held_rotation_vectors(robot, state.base_lengths + state.integral)
-    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, held + guess), state.target)
-    has_settled = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= SETTLING)
-    return jnp.where(has_settled, difference, 0.0)
-
-
-def own_action(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:
-    """What the controller does without a policy (action size,): what the tip lacks by the guess, if that shall act."""
-    if not config.estimate.acts:
-        return jnp.zeros_like(state.residual)
-    missing = lacking(config, robot, state, estimated(config, robot, state))
-    return motors.action_of(config.residual, missing, state.correction).astype(state.residual.dtype)
+    error = tip_correction.tip_error(tip_correction.sensed_pose(robot, held + guess), state.target)
+    has_settled = (ramped_in(config, robot, state) >= 1.0) & (since >= SETTLING)
+    error = jnp.where(has_settled, error, 0.0).astype(state.tip_error.dtype)
+    return dataclasses.replace(state, estimated=guess.astype(state.estimated.dtype), tip_error=error)
 
 
 def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: jax.Array) -> ControlState:
     """The next motor command from an action (action size,): all that is added summed before the limits."""
     period = config.control_period
-    whole = own_action(config, robot, state) + action
+    whole = own_action(config, state) + action
     residual = motors.move_residual(config.residual, state.residual, whole, period)
     time = (state.step + 1) * period
     added = state.integral + motors.residual_lengths(config.residual, residual, state.correction)
@@ -142,7 +157,7 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
 
 
 def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
-    """A reading (segments, 2) [rad] one control period later: memory and integral.
+    """A reading (segments, 2) [rad] one control period later: memory, integral and estimate.
 
     Feedback acts once the base command is ramped in and the first swings of the dither are over.
     """
@@ -151,14 +166,15 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
     memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
     if not config.remembers:
         memory = jnp.broadcast_to(deviation, memory.shape)
-    difference = tip_correction.weighted_difference(tip_correction.sensed_pose(robot, state.reading), state.target)
+    difference = tip_correction.tip_error(tip_correction.sensed_pose(robot, state.reading), state.target)
     moved = tip_correction.integrate(
         config.integral, state.integral, state.correction, difference, config.control_period
     )
     begins = config.dither.decay if config.dither.amplitude > 0.0 else 0.0
     acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
     integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
-    return dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)
+    state = dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)
+    return _estimated(config, robot, state)
 
 
 def ramped_in(config: ControllerConfig, robot: Robot, state: ControlState) -> jax.Array:

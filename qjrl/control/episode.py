@@ -1,12 +1,13 @@
-"""One episode of one simulated arm as pure functions: begin, restart, command, observe. The environment maps them over many.
+"""One episode of one simulated arm as pure functions: begin, restart, command, observe. `environment` maps them over many.
 
 begin ─> (physics put at home) ─> restart ─> [ command ─> (physics steps) ─> observe ] ...
 
-What the robot computes is `controller`'s; here is what only a simulation knows: truth, errors, reward, advice, the end.
+What the robot computes is `controller`'s; here is what only a simulation knows: the plant, errors, reward, expert, the end.
 """
 
 import dataclasses
 import math
+from functools import partial
 from typing import Annotated
 
 import jax
@@ -15,18 +16,19 @@ from flax import struct
 
 from qjrl.config import Range
 from qjrl.control import controller, motors, termination, tip_correction
-from qjrl.control.arm_estimate import EstimateConfig, Prior
-from qjrl.control.controller import ControllerConfig
+from qjrl.control.arm_estimate import EstimateConfig, priors
+from qjrl.control.controller import ControllerConfig, Task
 from qjrl.control.faults import Faults, draw_faults, transmit
-from qjrl.control.observations import ControlState, TrueState, critic_observation
+from qjrl.control.observations import ControlState, critic_observation
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.rewards import RewardConfig, reward
 from qjrl.control.sensors import SETTLING, read_encoders
 from qjrl.control.termination import TerminationConfig
 from qjrl.geometry.pose import orientation_error, position_error
-from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY
+from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, EXPERT_KEY
 from qjrl.robot import configuration_from_joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import PhysicalParameters, PlantState
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +83,19 @@ class Bank:
     """(rows, num_cables) [m]."""
 
 
+def tasks_of(config: EnvironmentConfig, robot: Robot, bank: Bank) -> Task:
+    """The tasks of a bank, a row each: all that a reset needs and that follows from a row alone."""
+    believed = priors(
+        dataclasses.replace(config.estimate, acts=True), robot, bank.base_lengths
+    )  # the same whether it acts
+    return Task(bank.target, bank.base_lengths, _corrections(robot, bank.base_lengths), believed)
+
+
+@jax.jit
+def _corrections(robot: Robot, base_lengths: jax.Array) -> jax.Array:
+    return jax.vmap(partial(tip_correction.damped_pseudo_inverse, robot))(base_lengths)
+
+
 @struct.dataclass
 class EpisodeState:
     """What one arm carries from step to step."""
@@ -105,7 +120,7 @@ class Begun:
     """A new episode, before the physics is put where it begins."""
 
     state: EpisodeState
-    parameters: dict[str, jax.Array]
+    parameters: PhysicalParameters
 
 
 @struct.dataclass
@@ -122,41 +137,35 @@ class StepOutcome:
 
 
 def begin(
-    config: EnvironmentConfig,
-    robot: Robot,
-    bank: Bank,
-    believed: Prior,
-    key: jax.Array,
-    row: jax.Array,
-    is_first: jax.Array,
+    config: EnvironmentConfig, robot: Robot, tasks: Task, key: jax.Array, row: jax.Array, is_cut: jax.Array
 ) -> Begun:
-    """Target, base command and physical parameters of a new episode; `row` -1 draws one, a first episode is cut short."""
+    """Task and physical parameters of a new episode; `row` -1 draws one; an episode that is cut ends early, at random."""
     key_row, key_parameters, key_length, key_next, key_faults = jax.random.split(key, 5)
-    row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(bank.target)), row)
+    row = jnp.where(row < 0, jax.random.randint(key_row, (), 0, len(tasks.target)), row)
     cut = jax.random.randint(key_length, (), 1, config.episode_steps + 1)
-    believed = jax.tree.map(lambda values: values[row], believed)
-    control = controller.begin(config.controller, robot, bank.target[row], bank.base_lengths[row], believed)
+    control = controller.begin(config.controller, robot, jax.tree.map(lambda values: values[row], tasks))
+    dtype = control.command.dtype
     state = EpisodeState(
         control=control,
         faults=draw_faults(config.randomisation, robot, key_faults, control.command),
-        overloaded=jnp.zeros((), bank.base_lengths.dtype),
-        initial_errors=jnp.zeros(2, bank.base_lengths.dtype),
+        overloaded=jnp.zeros((), dtype),
+        initial_errors=jnp.zeros(2, dtype),
         needed=jnp.zeros_like(control.residual),
-        episode_steps=jnp.where(is_first, cut, config.episode_steps).astype(jnp.int32),
+        episode_steps=jnp.where(is_cut, cut, config.episode_steps).astype(jnp.int32),
         key=key_next,
     )
     return Begun(state, draw_parameters(config.randomisation, robot, key_parameters))
 
 
-def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):
+def restart(config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant: PlantState):
     """First reading and first observation of an episode, from the physics at rest at home."""
-    reading, key_next = _read(config, robot, state, truth)
-    control = controller.start(robot, state.control, reading)
-    errors = _errors(truth, control)
+    reading, key_next = _read(config, robot, state, plant)
+    control = controller.start(config.controller, robot, state.control, reading)
+    errors = _errors(plant, control)
     state = dataclasses.replace(
         state, control=control, initial_errors=errors.astype(state.initial_errors.dtype), key=key_next
     )
-    return state, _observation(config, robot, state, truth, errors)
+    return state, _observation(config, robot, state, plant, errors)
 
 
 def command(config: EnvironmentConfig, robot: Robot, state: EpisodeState, action: jax.Array):
@@ -166,65 +175,65 @@ def command(config: EnvironmentConfig, robot: Robot, state: EpisodeState, action
     return dataclasses.replace(state, control=planned, faults=faults), strand_commands(robot, faults.held)
 
 
-def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState) -> StepOutcome:
+def observe(config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant: PlantState) -> StepOutcome:
     """Sensors, feedback, reward and end of episode after the physics has moved."""
-    reading, key_next = _read(config, robot, state, truth)
+    reading, key_next = _read(config, robot, state, plant)
     control = controller.sense(config.controller, robot, state.control, reading)
-    overloaded = termination.overloaded_for(robot, state.overloaded, truth, config.control_period)
-    needed = _needed(config, robot, state.needed, control, truth)
+    overloaded = termination.overloaded_for(robot, state.overloaded, plant, config.control_period)
+    needed = _needed(config, robot, state.needed, control, plant)
     state = dataclasses.replace(state, control=control, overloaded=overloaded, needed=needed, key=key_next)
     has_arrived = controller.ramped_in(config.controller, robot, control) >= 1.0
-    errors = _errors(truth, control)
-    is_lost = termination.is_lost(config.termination, robot, truth, overloaded)
+    errors = _errors(plant, control)
+    is_lost = termination.is_lost(config.termination, robot, plant, overloaded)
     earned = reward(config.reward, errors[0], errors[1], control.actions[0], has_arrived)
     earned = earned - jnp.where(is_lost, config.termination.cost, 0.0)
-    metrics = {
-        "position_error": errors[0],
-        "orientation_error": errors[1],
-        "residual": jnp.max(jnp.abs(control.residual)),
-    }
-    observation = _observation(config, robot, state, truth, errors)
+    metrics: dict[str, jax.Array] = dict(
+        zip(METRICS, (errors[0], errors[1], jnp.max(jnp.abs(control.residual))), strict=True)
+    )
+    observation = _observation(config, robot, state, plant, errors)
     return StepOutcome(state, observation, earned, control.step >= state.episode_steps, is_lost, metrics)
 
 
-def _read(config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState):
+def _read(config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant: PlantState):
     """The encoders' reading now, and the key of the next one."""
     key_noise, key_next = jax.random.split(state.key)
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    bends = configuration_from_joint_positions(robot, plant.joint_positions)
     noise_deg, working = config.randomisation.encoder_noise_deg, state.faults.working_encoders
     reading = read_encoders(robot, bends, noise_deg, key_noise, working)
     return reading.astype(state.control.reading.dtype), key_next
 
 
 def _observation(
-    config: EnvironmentConfig, robot: Robot, state: EpisodeState, truth: TrueState, errors: jax.Array
+    config: EnvironmentConfig, robot: Robot, state: EpisodeState, plant: PlantState, errors: jax.Array
 ) -> dict[str, jax.Array]:
     actor = controller.observation(config.controller, robot, state.control)
-    advice = _advice(config, robot, state.control, state.needed)
-    critic = critic_observation(actor, state.control.target, truth, errors, state.initial_errors, advice)
-    return {ACTOR_KEY: actor, CRITIC_KEY: critic}
+    expert = _expert_action(config, robot, state.control, state.needed)
+    critic = critic_observation(actor, state.control.target, plant, errors, state.initial_errors, expert)
+    return {ACTOR_KEY: actor, CRITIC_KEY: critic, EXPERT_KEY: expert.astype(jnp.float32)}
 
 
-def _needed(config: EnvironmentConfig, robot: Robot, before: jax.Array, control: ControlState, truth: TrueState):
+def _needed(config: EnvironmentConfig, robot: Robot, before: jax.Array, control: ControlState, plant: PlantState):
     """The action that takes the tip to its target, as only the simulation can know, smoothed: the dither's swings are
     not to be answered."""
-    lacking = tip_correction.weighted_difference(truth.pose, control.target)
-    now = control.residual / config.residual.bound + motors.action_of(config.residual, lacking, control.correction)
+    error = tip_correction.tip_error(plant.pose, control.target)
+    now = control.residual / config.residual.bound + motors.action_of(config.residual, error, control.correction)
     share = 1.0 - math.exp(-config.control_period / _SMOOTHING)
     smoothed = before + share * (now - before)
     return jnp.where(controller.waited(config.controller, robot, control) > 0.0, smoothed, now).astype(before.dtype)
 
 
-def _advice(config: EnvironmentConfig, robot: Robot, control: ControlState, needed: jax.Array) -> jax.Array:
+def _expert_action(config: EnvironmentConfig, robot: Robot, control: ControlState, needed: jax.Array) -> jax.Array:
     """What the policy should add to the controller's own action; nothing before the arm has settled."""
-    own = controller.own_action(config.controller, robot, control)
+    own = controller.own_action(config.controller, control)
     advised = jnp.clip(jnp.clip(needed, -1.0, 1.0) - own, -1.0, 1.0)
     return jnp.where(controller.waited(config.controller, robot, control) >= SETTLING, advised, 0.0)
 
 
-def _errors(truth: TrueState, control: ControlState) -> jax.Array:
-    return jnp.stack([position_error(truth.pose, control.target), orientation_error(truth.pose, control.target)])
+def _errors(plant: PlantState, control: ControlState) -> jax.Array:
+    return jnp.stack([position_error(plant.pose, control.target), orientation_error(plant.pose, control.target)])
 
 
+METRICS: tuple[str, ...] = ("position_error", "orientation_error", "residual")
+"""Names of `StepOutcome.metrics`."""
 # Time constant [s]: five control periods, in which swings that turn at every one leave a tenth of themselves.
 _SMOOTHING = 0.1

@@ -2,18 +2,23 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.control.environment import ResidualEnvironment
-from qjrl.control.episode import Bank, EnvironmentConfig
-from qjrl.control.motors import ramp_time
+from qjrl.control import episode
+from qjrl.control.episode import Bank, EnvironmentConfig, tasks_of
+from qjrl.control.motors import action_size, ramp_time
+from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.environment import ACTOR_KEY
+from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.stepping import Stepper
 
 # Actor observations (n, size) -> actions (n, action size) in [-1, 1].
@@ -77,11 +82,20 @@ def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:
 
 
 class Judge:
-    """A set of targets with its own simulations; every controller gets the same parameters and the same noise."""
+    """A set of targets with its own simulations; every controller gets the same parameters and the same noise.
+
+    The physics is a stepper's, on the host; everything else are the pure functions that train, in the caller's precision.
+    """
 
     def __init__(self, robot: Robot, config: EnvironmentConfig, bank: Bank, stepper: Stepper, seed: int):
-        self._config = config
-        self._environment = ResidualEnvironment(robot, config, bank, stepper, seed, rows=np.arange(len(bank.target)))
+        self._robot, self._config, self._stepper = robot, config, stepper
+        self._substeps = substeps_of(config.control_period, stepper.timestep)
+        rows = jnp.arange(len(bank.target))
+        keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(rows)
+        tasks = tasks_of(config, robot, bank)
+        self._begun = _compiled(config).begin(robot, tasks, keys, rows, jnp.zeros(len(rows), bool))
+        self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
+        self._held = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
 
     def judge(self, act: Act | None = None, advance=None) -> Judgement:
         """Run one episode of every target; without `act`, the base controller alone.
@@ -90,22 +104,53 @@ class Judge:
             act: actor observations to actions.
             advance: called with the number of environment steps made.
         """
-        environment, steps = self._environment, self._config.episode_steps
-        act = act or (lambda observation: do_nothing(observation, environment.action_size))
-        observation = environment.reset()
-        position, orientation, is_valid = [], [], np.ones(environment.num_envs, bool)
-        tension = environment.strand_tension.copy()
-        for step in range(steps):
-            if step == steps - 1:  # the last step resets the simulations
-                tension = environment.strand_tension.copy()
-            transition = environment.step(act(observation[ACTOR_KEY]))
-            observation = transition.observation
-            is_valid &= transition.valid & ~np.asarray(transition.terminated)
-            position.append(transition.metrics["position_error"])
-            orientation.append(transition.metrics["orientation_error"])
+        robot, stepper, compiled = self._robot, self._stepper, _compiled(self._config)
+        size = action_size(self._config.residual, robot)
+        act = act or (lambda observation: do_nothing(observation, size))
+        everyone = np.arange(stepper.num_sims)
+        stepper.reset(everyone, self._home, self._held, jax.tree.map(np.asarray, self._begun.parameters))
+        begun = dataclasses.replace(self._begun.state, key=jax.random.clone(self._begun.state.key))
+        state, observation = compiled.restart(robot, begun, stepper.read())
+        position, orientation, is_valid = [], [], np.ones(len(everyone), bool)
+        tension = np.zeros(0)
+        for _ in range(self._config.episode_steps):
+            tension = np.array(stepper.read().strand_tension)
+            action = jnp.asarray(act(np.asarray(observation[ACTOR_KEY])), state.control.residual.dtype)
+            planned, commands = compiled.command(robot, state, action)
+            stepper.step(np.asarray(commands), self._substeps)
+            seen = stepper.read()
+            outcome = compiled.observe(robot, planned, seen)
+            state, observation = outcome.state, outcome.observation
+            is_valid &= np.asarray(seen.is_sound) & ~np.asarray(outcome.is_lost)
+            position.append(np.asarray(outcome.metrics["position_error"]))
+            orientation.append(np.asarray(outcome.metrics["orientation_error"]))
             if advance:
-                advance(environment.num_envs)
+                advance(len(everyone))
         scored = slice(-self._config.scored_steps, None)
         mean_position, mean_orientation = (np.mean(errors[scored], axis=0) for errors in (position, orientation))
         is_valid &= np.isfinite(mean_position) & np.isfinite(mean_orientation)
         return Judgement(mean_position, mean_orientation, tension, np.stack(position), is_valid)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Compiled:
+    """The functions of `episode` over many arms."""
+
+    begin: Callable[..., Any]
+    restart: Callable[..., Any]
+    command: Callable[..., Any]
+    observe: Callable[..., Any]
+
+
+@cache
+def _compiled(config: EnvironmentConfig) -> _Compiled:
+    """What is drawn matters to `begin` alone, but for the encoders' noise: other ranges compile nothing else again."""
+    begin = jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0)))
+    same = RandomisationConfig(encoder_noise_deg=config.randomisation.encoder_noise_deg)
+    if config.randomisation != same:
+        return dataclasses.replace(_compiled(dataclasses.replace(config, randomisation=same)), begin=begin)
+
+    def over_arms(function: Callable[..., Any]) -> Callable[..., Any]:
+        return jax.jit(jax.vmap(partial(function, config), in_axes=(None, 0, 0)))
+
+    return _Compiled(begin, *map(over_arms, (episode.restart, episode.command, episode.observe)))

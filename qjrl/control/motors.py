@@ -93,13 +93,13 @@ def move_residual(config: ResidualConfig, residual: jax.Array, action: jax.Array
 
 
 def residual_lengths(config: ResidualConfig, residual: jax.Array, correction: jax.Array) -> jax.Array:
-    """Cable lengths (num_cables,) [m] of a residual; `correction` (num_cables, 6) is `tip_correction.correction_matrix`."""
+    """Cable lengths (num_cables,) [m] of a residual; `correction` (num_cables, 6) is `tip_correction.damped_pseudo_inverse`."""
     return correction @ residual if config.space == "tip" else residual
 
 
-def action_of(config: ResidualConfig, lacking: jax.Array, correction: jax.Array) -> jax.Array:
-    """Action (action_size,) whose residual makes up for what the tip lacks, `tip_correction.weighted_difference` (6,) [m]."""
-    return (lacking if config.space == "tip" else correction @ lacking) / config.bound
+def action_of(config: ResidualConfig, error: jax.Array, correction: jax.Array) -> jax.Array:
+    """Action (action_size,) whose residual makes up for an error of the tip, `tip_correction.tip_error` (6,) [m]."""
+    return (error if config.space == "tip" else correction @ error) / config.bound
 
 
 def limit_lengths(robot: Robot, desired: jax.Array) -> jax.Array:

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.control.sensors import rotation_vectors
-from qjrl.control.tip_correction import sensed_pose, weighted_difference
+from qjrl.control.tip_correction import sensed_pose, tip_error
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import PlantState
 
 # Actions the actor remembers (paper 000, section 4).
 ACTION_HISTORY = 4
@@ -43,26 +44,17 @@ class ControlState:
     """(segments, 2) newest encoder estimate [rad]."""
     memory: jax.Array
     """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
+    estimated: jax.Array
+    """(segments, 2) estimate of how far from where a perfect arm would be this one rests [rad]."""
+    tip_error: jax.Array
+    """(6,) what the tip lacks of its target by that estimate, without residual and dither [m]."""
     step: jax.Array
     """Control steps since the start."""
-
-
-@struct.dataclass
-class TrueState:
-    """What only the simulation knows of one arm."""
-
-    joint_positions: jax.Array
-    strand_lengths: jax.Array
-    strand_velocities: jax.Array
-    strand_tension: jax.Array
-    pose: jax.Array
 
 
 def actor_observation(
     robot: Robot,
     state: ControlState,
-    estimated: jax.Array,
-    lacking: jax.Array,
     offset: jax.Array,
     ramp: jax.Array,
     waited: jax.Array,
@@ -75,8 +67,6 @@ def actor_observation(
     command is ramped in, lest the way to the target drown what is left at its end.
 
     Args:
-        estimated: (segments, 2) the best guess of that deviation [rad].
-        lacking: (6,) what the tip lacks by it [m].
         offset: (num_cables,) the residual's part of the command [m].
         ramp: how much of the base command is ramped in, 0 to 1.
         waited: time [s] since then.
@@ -84,13 +74,13 @@ def actor_observation(
     held = held_rotation_vectors(robot, state.command)
     deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
     without = held_rotation_vectors(robot, state.command - offset)
-    read = jax.vmap(lambda one: weighted_difference(sensed_pose(robot, without + one), state.target))(deviations)
+    read = jax.vmap(lambda one: tip_error(sensed_pose(robot, without + one), state.target))(deviations)
     parts = (
         rotation_vectors(bends_from_cables(robot, state.base_lengths)),
         deviations,
-        estimated,
+        state.estimated,
         jnp.where(ramp >= 1.0, read, 0.0),
-        lacking,
+        state.tip_error,
         state.actions,
         state.command,
         state.target,
@@ -112,12 +102,13 @@ def held_rotation_vectors(robot: Robot, command: jax.Array) -> jax.Array:
 def critic_observation(
     actor: jax.Array,
     target: jax.Array,
-    truth: TrueState,
+    plant: PlantState,
     errors: jax.Array,
     initial_errors: jax.Array,
-    advice: jax.Array,
+    expert_action: jax.Array,
 ) -> jax.Array:
-    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; the advice.
+    """The actor's, then what the paper adds: tendon lengths and velocities, joint positions, true pose, errors; and the
+    expert's action.
 
     Joint velocities are left out, as in the paper: they jitter in MJX.
 
@@ -127,13 +118,13 @@ def critic_observation(
     """
     parts = (
         actor,
-        truth.strand_lengths,
-        truth.strand_velocities,
-        truth.joint_positions,
-        truth.pose,
-        truth.pose - target,
+        plant.strand_lengths,
+        plant.strand_velocities,
+        plant.joint_positions,
+        plant.pose,
+        plant.pose - target,
         errors,
         initial_errors,
-        advice,
+        expert_action,
     )
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)

@@ -5,37 +5,37 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from qjrl.artifacts import ArtifactError, append_json_line
+from qjrl.artifacts import append_json_line
 from qjrl.config import ConfigError, NotIdentity, Range
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
-from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Judge, Judgement, rows_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
-from qjrl.learning import processes
-from qjrl.learning.checkpoints import no_choice
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import num_copies
-from qjrl.learning.ppo.iteration import Record
 from qjrl.learning.ppo.policy import Policy, deterministic_action
+from qjrl.learning.ppo.records import Record
 from qjrl.learning.ppo.train import train
 from qjrl.learning.tensorboard import tensorboard
+from qjrl.robot import strand_commands
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
-from qjrl.simulation.engines import make_stepper, timestep_of
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.engine import EngineConfig
+from qjrl.simulation.engine_stepper import EngineStepper
+from qjrl.simulation.engines import make_engine, make_stepper
 
 Arrays = Mapping[str, np.ndarray]
 
-# Control steps over which the rate of bare batch stepping is measured, at every checkpoint.
-_BARE_STEPS = 10
-BARE_RATES = "bare_rates.jsonl"
+# Control steps over which the rate of the physics alone is measured, at every checkpoint.
+_PHYSICS_STEPS = 10
+PHYSICS_RATES = "physics_rates.jsonl"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,9 +44,6 @@ class PolicyConfig:
 
     base: Base = "estimate"
     """What the residual is added to."""
-    engine: Literal["simulation", "minimal"] = "minimal"
-    """What the policy trains in: the engine of group `simulation`, or the arm's own equations in minimal coordinates, which
-    are several times quicker on a CPU. Stage `compare` judges it in the engine of `simulation`."""
     num_envs: Annotated[int, Range(2, 1_000_000)] = 512
     """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
     num_judged: Annotated[int, Range(1, 100_000)] = 128
@@ -55,10 +52,6 @@ class PolicyConfig:
     """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
     environment: EnvironmentConfig = EnvironmentConfig()
     ppo: PPOConfig = PPOConfig()
-
-    def blocks(self, simulation: SettleConfig) -> dict[str, Any]:
-        """In minimal coordinates arms are stepped in as many blocks as there are threads, which moves the last bits."""
-        return {"simulation.num_threads": simulation.num_threads} if self.engine == "minimal" else {}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +63,7 @@ class TrainedPolicy:
     """Target set -> targets of the bank whose base command the motors cannot ramp in in time."""
 
 
-def check_training(config: PolicyConfig, simulation: SettleConfig) -> None:
+def check_training(config: PolicyConfig, engine: EngineConfig) -> None:
     """Refuses, without any work, what cannot be trained here.
 
     Raises:
@@ -81,7 +74,7 @@ def check_training(config: PolicyConfig, simulation: SettleConfig) -> None:
         raise ConfigError(
             f"policy.num_envs: got {config.num_envs}, allowed: a multiple of the {jax.device_count()} devices of all processes"
         )
-    check_control_period(config.environment, timestep_of(simulation, config.engine == "minimal"))
+    check_control_period(config.environment, engine.timestep)
 
 
 def check_control_period(environment: EnvironmentConfig, timestep: float) -> None:
@@ -90,16 +83,17 @@ def check_control_period(environment: EnvironmentConfig, timestep: float) -> Non
 
 
 def train_policy(
-    robot: Robot, simulation: SettleConfig, config: PolicyConfig, targets: Arrays, seed: int, directory: Path
+    robot: Robot, engine: EngineConfig, config: PolicyConfig, targets: Arrays, seed: int, directory: Path
 ) -> TrainedPolicy:
     """PPO on the bank; goes on where an interrupted training in `directory` stopped.
 
     Args:
+        engine: what it trains in, and is evaluated in while it trains.
         targets: columns of `ik/bank.npz`. The last `num_judged` rows of each set that arrive in time are set apart.
     Raises:
         ConfigError: the bank has too few targets; see also `check_training`.
     """
-    check_training(config, simulation)
+    check_training(config, engine)
     rows = rows_in_time(robot, config.environment, targets, [command_column(config.base)])
     for name, found in rows.items():
         if len(found) <= config.num_judged:
@@ -109,38 +103,19 @@ def train_policy(
     trained_on = np.concatenate([found[: -config.num_judged] for found in rows.values()])
     judged = np.concatenate([found[-config.num_judged :] for found in rows.values()])
     of_base = environment_of(config.environment, config.base)
-    is_minimal = config.engine == "minimal"
-    judge_stepper = make_stepper(robot, len(judged), simulation, is_minimal)
+    judge_stepper = make_stepper(robot, len(judged), engine)
     judging_seed = seed_for(seed, "arms of the checkpoints' evaluation")
     judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, judging_seed)
-    own = processes.own_rows(config.num_envs)
-    stepper = make_stepper(robot, own.stop - own.start, simulation, is_minimal)
     bank = bank_of(targets, config.base, trained_on)
-    environment = ResidualEnvironment(robot, of_base, bank, stepper, seed_for(seed, "training arms"), first=own.start)
+    env = residual_env(robot, of_base, bank, make_engine(robot, engine))
     evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
     with ExitStack() as stack:
-        callbacks = [_bare_rates(environment, directory / BARE_RATES)]
+        callbacks = [_physics_rates(env, config.num_envs, directory / PHYSICS_RATES)]
         if config.tensorboard:
             callbacks.append(stack.enter_context(tensorboard(directory / "tensorboard")))
-        policy = _trained(environment, config, seed, directory, evaluate, callbacks)
+        policy = train(env, config.ppo, config.num_envs, seed, directory, evaluate, "median_mm", callbacks)
     left_out = {name: int(np.sum(targets["target_set"] == i)) - len(rows[name]) for i, name in enumerate(TARGET_SETS)}
     return TrainedPolicy(policy, left_out)
-
-
-def _trained(
-    environment: ResidualEnvironment,
-    config: PolicyConfig,
-    seed: int,
-    directory: Path,
-    evaluate: Callable,
-    callbacks: list,
-) -> Policy:
-    try:
-        return train(environment, config.ppo, seed, directory, evaluate, "median_mm", callbacks)
-    except ArtifactError as error:  # no file of a policy: no checkpoint was the best
-        if "does not exist" not in str(error):
-            raise
-        raise no_choice(directory / "checkpoints", "median_mm of the judged targets") from error
 
 
 def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:
@@ -163,21 +138,23 @@ def _median(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else float("nan")
 
 
-def _bare_rates(environment: ResidualEnvironment, path: Path) -> Callable[[Record], None]:
-    """A callback that measures, at every checkpoint, control steps a second of the same randomised arms without sensors,
-    rewards or learning: between the iterations that it is compared with, as a machine's speed varies. Of several processes
-    the first measures, and is taken for all."""
+def _physics_rates(env: ResidualEnv, num_envs: int, path: Path) -> Callable[[Record], None]:
+    """A callback that measures, at every checkpoint, control steps a second of the engine alone: between the iterations that
+    it is compared with, as a machine's speed varies. Of several processes the first measures, and is taken for all."""
+    stepper = EngineStepper(env.engine, num_envs // jax.process_count())
+    held = np.asarray(strand_commands(env.robot, jnp.zeros(env.robot.num_cables)))
+    substeps = substeps_of(env.config.control_period, stepper.timestep)
 
     def measure(record: Record) -> None:
         if "evaluation/median_mm" not in record:
             return
-        before = environment.get_state()
-        environment.step_physics()
+        stepper.step(held, substeps)
+        stepper.wait()
         start = time.perf_counter()
-        for _ in range(_BARE_STEPS):
-            environment.step_physics()
-        rate = _BARE_STEPS * num_copies(environment) / (time.perf_counter() - start)
-        environment.set_state(before)
-        append_json_line(path, {"env_steps": record["env_steps"], "bare_steps_per_second": rate})
+        for _ in range(_PHYSICS_STEPS):
+            stepper.step(held, substeps)
+        stepper.wait()
+        rate = _PHYSICS_STEPS * num_envs / (time.perf_counter() - start)
+        append_json_line(path, {"env_steps": record["env_steps"], "physics_steps_per_second": rate})
 
     return measure

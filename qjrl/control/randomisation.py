@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from qjrl.config import Range
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.stepping import PhysicalParameters
 
 Interval = tuple[Annotated[float, Range(low=0.0)], Annotated[float, Range(low=0.0)]]
 Periods = Annotated[int, Range(0, 100)]
@@ -57,23 +58,23 @@ class RandomisationConfig:
             )
 
 
-def draw_parameters(config: RandomisationConfig, robot: Robot, key: jax.Array) -> dict[str, jax.Array]:
-    """Physical parameters of one arm, by the names of `simulation.stepping.PhysicalParameters`."""
+def draw_parameters(config: RandomisationConfig, robot: Robot, key: jax.Array) -> PhysicalParameters:
+    """Physical parameters of one arm."""
     key_damping, key_friction, key_armature, key_gain, key_tilt, key_direction, key_strands, key_payload = (
         jax.random.split(key, 8)
     )
     inner = (config.least_tilt_deg / max(config.largest_tilt_deg, 1e-9)) ** 2
     tilt = math.radians(config.largest_tilt_deg) * jnp.sqrt(inner + (1.0 - inner) * jax.random.uniform(key_tilt))
     direction = 2.0 * jnp.pi * jax.random.uniform(key_direction)
-    return {
-        "strand_damping_scale": _log_uniform(key_damping, config.strand_damping_scale),
-        "strand_friction": _uniform(key_friction, config.strand_friction),
-        "armature_scale": _log_uniform(key_armature, config.armature_scale),
-        "gain_scale": _log_uniform(key_gain, config.gain_scale),
-        "tilt": tilt * jnp.stack([jnp.cos(direction), jnp.sin(direction)]),
-        "strand_stiffness_scale": _log_uniform(key_strands, config.strand_stiffness_scale, (robot.num_strands,)),
-        "payload": robot.config.mechanics.payload + _uniform(key_payload, config.payload),
-    }
+    return PhysicalParameters(
+        strand_damping_scale=_log_uniform(key_damping, config.strand_damping_scale),
+        strand_friction=_uniform(key_friction, config.strand_friction),
+        armature_scale=_log_uniform(key_armature, config.armature_scale),
+        gain_scale=_log_uniform(key_gain, config.gain_scale),
+        tilt=tilt * jnp.stack([jnp.cos(direction), jnp.sin(direction)]),
+        strand_stiffness_scale=_log_uniform(key_strands, config.strand_stiffness_scale, (robot.num_strands,)),
+        payload=robot.config.mechanics.payload + _uniform(key_payload, config.payload),
+    )
 
 
 def _uniform(key: jax.Array, interval: Interval) -> jax.Array:

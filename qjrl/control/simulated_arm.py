@@ -32,7 +32,7 @@ class SimulatedArm:
         """At rest at home, with the parameters and the noise of episode `number`."""
         key_arm, self._noise = jax.random.split(jax.random.fold_in(self._key, number))
         drawn, self._faults = self._draw(key_arm)
-        values = PhysicalParameters(**{name: np.asarray(value)[None] for name, value in drawn.items()})
+        values = jax.tree.map(lambda value: np.asarray(value)[None], drawn)
         self.hold(np.zeros(self._robot.num_cables))
         self.stepper.reset(np.arange(1), self._home, self._held, values)
 
@@ -64,7 +64,7 @@ class SimulatedArm:
     @property
     def is_finite(self) -> bool:
         """Whether the simulation is sound."""
-        return bool(self.stepper.read().is_finite[0])
+        return bool(self.stepper.read().is_sound[0])
 
 
 def rehearse(
@@ -95,7 +95,7 @@ def rehearse(
     return np.stack(readings), np.stack(commands)
 
 
-def _draw(randomisation: RandomisationConfig, robot: Robot, key: jax.Array) -> tuple[dict[str, jax.Array], Faults]:
+def _draw(randomisation: RandomisationConfig, robot: Robot, key: jax.Array) -> tuple[PhysicalParameters, Faults]:
     key_parameters, key_faults = jax.random.split(key)
     faults = draw_faults(randomisation, robot, key_faults, jnp.zeros(robot.num_cables))
     return draw_parameters(randomisation, robot, key_parameters), faults

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range
-from qjrl.control.observations import TrueState
 from qjrl.control.sensors import rotation_vectors
 from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import configuration_from_joint_positions
 from qjrl.robot.verbs import Robot, is_at_strength
+from qjrl.simulation.stepping import PlantState
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,21 +30,21 @@ class TerminationConfig:
     """Taken off the reward of the step that loses the arm: more than an episode can cost otherwise, lest the end be sought."""
 
 
-def is_overloaded(robot: Robot, truth: TrueState) -> jax.Array:
+def is_overloaded(robot: Robot, plant: PlantState) -> jax.Array:
     """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N], loop by loop."""
-    loops = truth.strand_tension.reshape(-1, 2)
+    loops = plant.strand_tension.reshape(-1, 2)
     stalls = jnp.any(jnp.abs(loops[:, 0] - loops[:, 1]) >= robot.config.motors.force)
     return stalls | jnp.any(is_at_strength(robot, loops))
 
 
-def overloaded_for(robot: Robot, before: jax.Array, truth: TrueState, period: float) -> jax.Array:
+def overloaded_for(robot: Robot, before: jax.Array, plant: PlantState, period: float) -> jax.Array:
     """Time [s] for which the arm has been overloaded without a break, one control period after it was `before`."""
-    return jnp.where(is_overloaded(robot, truth), before + period, 0.0)
+    return jnp.where(is_overloaded(robot, plant), before + period, 0.0)
 
 
-def is_lost(config: TerminationConfig, robot: Robot, truth: TrueState, overloaded: jax.Array) -> jax.Array:
+def is_lost(config: TerminationConfig, robot: Robot, plant: PlantState, overloaded: jax.Array) -> jax.Array:
     """Whether the arm is lost, `overloaded` being what `overloaded_for` says [s]."""
-    bends = configuration_from_joint_positions(robot, truth.joint_positions)
+    bends = configuration_from_joint_positions(robot, plant.joint_positions)
     angles = jax.vmap(safe_norm)(rotation_vectors(bends))
     joint = robot.config.joint
     furthest = math.radians(joint.bend_limit_deg + joint.stop_margin_deg + config.excess_deg)

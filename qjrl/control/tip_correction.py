@@ -30,19 +30,19 @@ class IntegralConfig:
     """Largest correction of a cable [m]."""
 
 
-def weighted_difference(pose: jax.Array, target: jax.Array) -> jax.Array:
+def tip_error(pose: jax.Array, target: jax.Array) -> jax.Array:
     """What a pose (9,) lacks of a target (9,): (6,) [m], the rotation vector times `LEVER`."""
     return pose_difference(pose, target) * jnp.array([1.0, 1.0, 1.0, LEVER, LEVER, LEVER], pose.dtype)
 
 
-def correction_matrix(robot: Robot, lengths: jax.Array, damping: float = 1.0) -> jax.Array:
-    """(num_cables, 6): cable lengths [m] for each metre of `weighted_difference`, around `lengths` (num_cables,) [m].
+def damped_pseudo_inverse(robot: Robot, lengths: jax.Array, damping: float = 1.0) -> jax.Array:
+    """(num_cables, 6): cable lengths [m] for each metre of `tip_error`, around `lengths` (num_cables,) [m].
 
     J^T (J J^T + damping^2)^-1. A cable moves the tip by ten times its own length where it moves it much, so that a
     damping of 1 leaves those directions alone and keeps out those in which the arm, straight as it is at home, cannot move.
     """
     here = _tip(robot, lengths)
-    jacobian = -jax.jacobian(lambda moved: weighted_difference(_tip(robot, moved), here))(lengths)
+    jacobian = -jax.jacobian(lambda moved: tip_error(_tip(robot, moved), here))(lengths)
     damped = jacobian @ jacobian.T + damping**2 * jnp.eye(6, dtype=jacobian.dtype)
     return cholesky.solve(cholesky.factor(damped), jacobian).T
 
@@ -55,7 +55,7 @@ def sensed_pose(robot: Robot, reading: jax.Array) -> jax.Array:
 def integrate(
     config: IntegralConfig, integral: jax.Array, correction: jax.Array, difference: jax.Array, period: float
 ) -> jax.Array:
-    """The integral (num_cables,) [m] one control period [s] later, from `weighted_difference` (6,)."""
+    """The integral (num_cables,) [m] one control period [s] later, from `tip_error` (6,)."""
     moved = integral + config.gain * period * (correction @ difference)
     return jnp.clip(moved, -config.bound, config.bound)
 

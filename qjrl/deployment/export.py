@@ -22,7 +22,6 @@ from qjrl.deployment.functions import (
     Precision,
     SolveFunction,
     forward_function,
-    in_precision,
     inverse_function,
 )
 from qjrl.deployment.latency import measure_latency
@@ -36,6 +35,7 @@ from qjrl.deployment.parity import (
 )
 from qjrl.keys import seed_for
 from qjrl.provenance import read_provenance
+from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.model_fitting import pose_errors, settled_split
 from qjrl.robot.verbs import Robot

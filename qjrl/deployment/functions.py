@@ -5,8 +5,8 @@ from collections.abc import Callable
 from typing import Literal
 
 import jax
-import jax.numpy as jnp
 
+from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.verbs import Robot
 
@@ -59,11 +59,6 @@ def inverse_function(robot: Robot, solve: SolveFunction) -> DeployedFunction:
         Port("converged", (), "-", "both predicted errors are within the solver's tolerances", "bool"),
     )
     return DeployedFunction("inverse_kinematics", solve, (_pose("target"),), outputs)
-
-
-def in_precision(robot: Robot, precision: Precision) -> Robot:
-    """The robot with all its numbers in a precision: what is computed from them stays in it."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), robot)
 
 
 def _lengths(robot: Robot) -> Port:

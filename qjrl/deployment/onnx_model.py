@@ -10,8 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from qjrl.deployment.functions import DeployedFunction, Precision, in_precision
+from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.learning.fitting import predict
+from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, make_network, model_inputs
 from qjrl.robot.quaternion_arm.tip import tip_poses
 from qjrl.robot.verbs import Robot, bends_from_cables

@@ -24,11 +24,21 @@ def factor(matrix: Any) -> list[list[jax.Array]]:
 
 def solve(lower: list[list[jax.Array]], right: jax.Array) -> jax.Array:
     """x (n, ..., *lanes) with L L^T x = right, L as `factor` gives it."""
+    return jnp.stack(back(lower, forward(lower, right)))
+
+
+def forward(lower: list[list[jax.Array]], right: Any) -> list[jax.Array]:
+    """Rows of L^-1 right (n, ..., *lanes), L as `factor` gives it."""
+    found: list[jax.Array] = []
+    for i in range(len(right)):
+        found.append((right[i] - sum(lower[i][k] * found[k] for k in range(i))) * lower[i][i])
+    return found
+
+
+def back(lower: list[list[jax.Array]], right: Any) -> list[jax.Array]:
+    """Rows of L^-T right (n, ..., *lanes), L as `factor` gives it."""
     size = len(right)
-    forward: list[jax.Array] = []
-    for i in range(size):
-        forward.append((right[i] - sum(lower[i][k] * forward[k] for k in range(i))) * lower[i][i])
-    back = [right[0]] * size
+    found = [right[0]] * size
     for i in reversed(range(size)):
-        back[i] = (forward[i] - sum(lower[k][i] * back[k] for k in range(i + 1, size))) * lower[i][i]
-    return jnp.stack(back)
+        found[i] = (right[i] - sum(lower[k][i] * found[k] for k in range(i + 1, size))) * lower[i][i]
+    return found

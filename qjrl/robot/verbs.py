@@ -106,3 +106,8 @@ def configuration_from_joint_positions(robot: Robot, positions: jax.Array) -> ja
 def build_mjcf(robot: Robot, options: SolverOptions = SolverOptions()) -> str:
     """MuJoCo XML of a robot."""
     return _verb(robot, "build_mjcf")(robot, options)
+
+
+def in_precision(robot: Robot, precision: str) -> Robot:
+    """The robot with all its numbers in a precision, "float32" or "float64": what is computed from them stays in it."""
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, precision), robot)

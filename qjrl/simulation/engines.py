@@ -1,22 +1,33 @@
-"""The engine of a configuration, as a stepper."""
+"""Engines and steppers by configuration; MJX is imported when it is asked for."""
 
+from typing import Any
+
+import jax
+
+from qjrl.robot import in_precision
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.minimal_stepping import TIMESTEP, MinimalStepper
+from qjrl.simulation.engine import Engine, EngineConfig
+from qjrl.simulation.engine_stepper import EngineStepper
+from qjrl.simulation.minimal_engine import MinimalEngine
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper, Stepper
 
 
-def make_stepper(robot: Robot, num_sims: int, config: SettleConfig, is_minimal: bool = False) -> Stepper:
-    """`num_sims` simulations on the engine that `config` names, or in minimal coordinates; MJX is imported when asked for."""
-    if is_minimal:
-        return MinimalStepper(robot, num_sims, num_threads=config.num_threads)
-    if config.backend != "mujoco":
-        from qjrl.simulation.mjx_stepping import MjxStepper
+def make_engine(robot: Robot, config: EngineConfig) -> Engine:
+    """The engine that `config` names, of a robot whose numbers become float32."""
+    with jax.enable_x64(False):
+        single: Any = in_precision(robot, "float32")
+        if config.kind == "minimal":
+            return MinimalEngine(single, config.timestep)
+        from qjrl.simulation.mjx_engine import mjx_engine
 
-        return MjxStepper(robot, num_sims, config.timestep, config.backend)
-    return MujocoStepper(robot, num_sims, config.timestep, config.num_threads)
+        return mjx_engine(single, config.timestep, config.kind)
 
 
-def timestep_of(config: SettleConfig, is_minimal: bool = False) -> float:
-    """Time step [s] of the stepper that `make_stepper` makes."""
-    return TIMESTEP if is_minimal else config.timestep
+def make_stepper(robot: Robot, num_sims: int, config: SettleConfig | EngineConfig) -> Stepper:
+    """`num_sims` simulations on the host's side of what `config` names: C MuJoCo, or an engine of JAX."""
+    if isinstance(config, EngineConfig):
+        return EngineStepper(make_engine(robot, config), num_sims)
+    if config.backend == "mujoco":
+        return MujocoStepper(robot, num_sims, config.timestep, config.num_threads)
+    return make_stepper(robot, num_sims, EngineConfig(config.backend, config.timestep))

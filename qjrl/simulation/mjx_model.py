@@ -14,7 +14,7 @@ from flax import struct
 
 from qjrl.config import ConfigError
 from qjrl.simulation.settle_problem import Backend
-from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
+from qjrl.xla_options import CPU_COMPILER_OPTIONS
 
 with contextlib.redirect_stdout(io.StringIO()):  # two lines about warp where that is not installed
     from mujoco import mjx

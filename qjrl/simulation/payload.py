@@ -1,6 +1,7 @@
 """The last body of an arm's MuJoCo model with another payload: a ball whose centre is the site `tip`."""
 
 import dataclasses
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,15 +14,15 @@ from qjrl.robot.verbs import Robot
 class TipBody:
     """What MuJoCo knows of the body that carries the payload, one row a simulation."""
 
-    mass: np.ndarray
+    mass: Any
     """(n,) [kg]."""
-    centre: np.ndarray
+    centre: Any
     """(n, 3) of mass, in the body's frame [m]."""
-    inertia: np.ndarray
+    inertia: Any
     """(n, 3) about the centre of mass, along the principal axes of the model [kg m^2]."""
 
 
-def tip_body(robot: Robot, model: mujoco.MjModel, payload: np.ndarray) -> TipBody:
+def tip_body(robot: Robot, model: mujoco.MjModel, payload: Any) -> TipBody:
     """The model's last body with payloads (n,) [kg] in place of the one described.
 
     The centres of both lie on a principal axis of the body, which therefore keeps its principal axes: two masses a

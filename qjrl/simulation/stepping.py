@@ -2,10 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
+from flax import struct
 from mujoco import batch
 
 from qjrl.cores import usable_cores
@@ -14,44 +17,47 @@ from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.payload import tip_body
 
+# Beyond it a simulation counts as diverged, in every engine [rad, rad/s].
+LARGEST_VALUE = 1e4
 
-@dataclasses.dataclass(frozen=True)
-class Readout:
-    """The physics of all simulations after a step; arrays are live views, copy what must last."""
 
-    joint_positions: np.ndarray
+@struct.dataclass
+class PlantState:
+    """The physics of all simulations after a step, one row a simulation; of C MuJoCo live views, copy what must last."""
+
+    joint_positions: Any
     """(n, nq) [rad, m]."""
-    joint_velocities: np.ndarray
+    joint_velocities: Any
     """(n, nv) [rad/s, m/s]."""
-    strand_lengths: np.ndarray
+    strand_lengths: Any
     """(n, strands) [m]."""
-    strand_velocities: np.ndarray
+    strand_velocities: Any
     """(n, strands) [m/s]."""
-    strand_tension: np.ndarray
+    strand_tension: Any
     """(n, strands) [N]."""
-    pose: np.ndarray
+    pose: Any
     """(n, 9) [m, -]."""
-    is_finite: np.ndarray
+    is_sound: Any
     """(n,) False where the simulation diverged since its last reset."""
 
 
-@dataclasses.dataclass(frozen=True)
+@struct.dataclass
 class PhysicalParameters:
     """What may differ between simulations, one value a simulation; ones, zeros and the robot's gravity are nominal."""
 
-    strand_damping_scale: np.ndarray
+    strand_damping_scale: Any
     """(n,) times the robot's."""
-    strand_friction: np.ndarray
+    strand_friction: Any
     """(n,) dry friction along every strand [N]."""
-    armature_scale: np.ndarray
+    armature_scale: Any
     """(n,) times the robot's."""
-    gain_scale: np.ndarray
+    gain_scale: Any
     """(n,) times the strand servo's stiffness."""
-    tilt: np.ndarray
+    tilt: Any
     """(n, 2) rotation of gravity about the base's x and y [rad]."""
-    strand_stiffness_scale: np.ndarray
+    strand_stiffness_scale: Any
     """(n, strands) times the stiffness of each strand, on top of `gain_scale`."""
-    payload: np.ndarray
+    payload: Any
     """(n,) mass at the tip [kg], in place of the robot's."""
 
     @classmethod
@@ -68,7 +74,7 @@ class PhysicalParameters:
         )
 
     @property
-    def strand_gain(self) -> np.ndarray:
+    def strand_gain(self) -> Any:
         """(n, strands) times the stiffness as described, of both scales together."""
         return self.gain_scale[:, None] * self.strand_stiffness_scale
 
@@ -84,7 +90,7 @@ class PhysicalParameters:
 
 @runtime_checkable
 class Stepper(Protocol):
-    """Many simulations of one robot, stepped together: the one contract of both engines."""
+    """Many simulations of one robot, stepped together: on the host: C MuJoCo, or an engine of JAX."""
 
     num_sims: int
     timestep: float
@@ -99,7 +105,7 @@ class Stepper(Protocol):
         """Hold rest lengths (n, strands) [m] for `num_steps` time steps."""
         ...
 
-    def read(self) -> Readout:
+    def read(self) -> PlantState:
         """The state of all simulations now."""
         ...
 
@@ -149,21 +155,22 @@ class MujocoStepper:
         except batch.SimulationError as error:
             self._has_failed[list(error.ids)] = True
 
-    def read(self) -> Readout:
+    def read(self) -> PlantState:
         """The state of all simulations now."""
         rotation = self._tip_rotation.reshape(-1, 3, 3)
         pose = np.concatenate([self._tip_position, rotation[:, :, 0], rotation[:, :, 1]], axis=1)
         has_warned = self._warning[:, :, 1].any(axis=1)
-        is_finite = ~(has_warned | self._has_failed) & np.isfinite(pose).all(axis=1)
+        is_plausible = (np.abs(self._velocities) < LARGEST_VALUE).all(axis=1)  # False for NaN
+        is_sound = ~(has_warned | self._has_failed) & is_plausible & np.isfinite(pose).all(axis=1)
         strands = slice(0, self.num_strands)
-        return Readout(
+        return PlantState(
             self._positions,
             self._velocities,
             self._lengths[:, strands],
             self._rates[:, strands],
             0.0 - self._force,
             pose,
-            is_finite,
+            is_sound,
         )
 
     def get_state(self) -> dict[str, np.ndarray]:
@@ -202,9 +209,9 @@ class MujocoStepper:
             self._batch.expand("body_inertia")[ids, body] = tip.inertia
 
 
-def tilted(gravity: np.ndarray, tilt: np.ndarray) -> np.ndarray:
-    """Gravity (n, 3) rotated about x, then y, by angles (n, 2) [rad]."""
-    (cx, cy), (sx, sy) = np.cos(tilt).T, np.sin(tilt).T
+def tilted(gravity: Any, tilt: Any) -> jax.Array:
+    """Gravity (3,) rotated about x, then y, by angles (n, 2) [rad]: (n, 3)."""
+    (cx, cy), (sx, sy) = jnp.cos(tilt).T, jnp.sin(tilt).T
     x, y, z = gravity
     y_turned, z_turned = cx * y - sx * z, sx * y + cx * z
-    return np.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)
+    return jnp.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)

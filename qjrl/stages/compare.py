@@ -179,7 +179,7 @@ def _summary(outcomes: list[Outcome], fitted: dict, trained: dict) -> tuple[Numb
             "training rate",
             trained["steps_per_second"],
             "steps/s",
-            f"{100 * trained['share_of_bare_rate']:.0f} % of bare physics",
+            f"{100 * trained['share_of_physics_rate']:.0f} % of the physics alone",
         ),
     )
 
@@ -194,7 +194,12 @@ def _arm_section(robot: Robot, targets):
 def _policy_section(records: list[dict], trained: dict):
     numbers = (
         Number("environment steps", trained["env_steps"]),
-        Number("rate", trained["steps_per_second"], "steps/s", f"bare physics: {trained['bare_steps_per_second']:.0f}"),
+        Number(
+            "rate",
+            trained["steps_per_second"],
+            "steps/s",
+            f"the physics alone: {trained['physics_steps_per_second']:.0f}",
+        ),
         Number("diverged steps", trained["invalid_steps"]),
     )
     name, start = ("base", trained["base"]) if "base" in trained else ("untrained policy", trained["untrained"])

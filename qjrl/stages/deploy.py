@@ -27,14 +27,13 @@ from qjrl.deployment.controller import deployed_controller
 from qjrl.deployment.controller_export import ControllerExport, export_files, write_controller
 from qjrl.deployment.controller_parity import Rehearsal
 from qjrl.deployment.deploy import DeployConfig, deploy
-from qjrl.deployment.functions import in_precision
 from qjrl.deployment.real_time import Schedule
 from qjrl.deployment.recording import Record, as_record, flagged, load_record, replay, timing
 from qjrl.deployment.safety import ASKED, SafeController, reading_limits
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.provenance import read_provenance
-from qjrl.robot import robot_from_mapping, robot_hash
+from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.control.policy_training import BARE_RATES, PolicyConfig, check_training, train_policy
+from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, check_training, train_policy
 from qjrl.learning import processes
 from qjrl.measured import read_progress
 from qjrl.records import NUMBER, check_record
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 
 log = logging.getLogger(__name__)
 
@@ -24,31 +24,26 @@ _AT_THE_START = ("evaluation/median_mm", "evaluation/uniform_median_mm", "evalua
 @dataclasses.dataclass(frozen=True)
 class Config:
     robot: dict
-    simulation: SettleConfig
+    engine: EngineConfig
     policy: PolicyConfig
     seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps, and the devices share the arms."""
-        check_training(self.policy, self.simulation)
-
-    @property
-    def blocks(self) -> dict[str, Any]:
-        """What of the threads reaches the training."""
-        return self.policy.blocks(self.simulation)
+        check_training(self.policy, self.engine)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `checkpoints/`, `progress.jsonl`, `bare_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
+    """Write `checkpoints/`, `progress.jsonl`, `physics_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
     robot = robot_from_mapping(config.robot)
     targets = artifacts.load(inputs["ik"] / "bank.npz")
-    trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
+    trained = train_policy(robot, config.engine, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return
     records = read_progress(out / "progress.jsonl", "env_steps")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
-    bare = read_progress(out / BARE_RATES, "bare_steps_per_second")
-    bare_rate = float(np.median([record["bare_steps_per_second"] for record in bare]))
+    physics = read_progress(out / PHYSICS_RATES, "physics_steps_per_second")
+    physics_rate = float(np.median([record["physics_steps_per_second"] for record in physics]))
     judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
     check_record(out / "progress.jsonl", records[0], dict.fromkeys(_AT_THE_START, NUMBER), "the log of a training")
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
@@ -57,8 +52,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
         "steps_per_second": float(np.median(rates)),
-        "bare_steps_per_second": bare_rate,
-        "share_of_bare_rate": float(np.median(rates)) / bare_rate,
+        "physics_steps_per_second": physics_rate,
+        "share_of_physics_rate": float(np.median(rates)) / physics_rate,
         "invalid_steps": int(sum(record.get("invalid", 0) for record in records)),
         start: {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
     }
@@ -67,11 +62,11 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         rival = {"base": "base", "untrained": "untrained policy"}[start]
         log.info("policy: no trained checkpoint beats the %s on the judged targets; the untrained one is kept", rival)
     log.info(
-        "policy: %d steps at %.0f/s, %.0f %% of the bare physics' %.0f/s",
+        "policy: %d steps at %.0f/s, %.0f %% of the physics' alone, %.0f/s",
         metrics["env_steps"],
         metrics["steps_per_second"],
-        100.0 * metrics["share_of_bare_rate"],
-        metrics["bare_steps_per_second"],
+        100.0 * metrics["share_of_physics_rate"],
+        metrics["physics_steps_per_second"],
     )
 
 

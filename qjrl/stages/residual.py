@@ -3,7 +3,6 @@
 import dataclasses
 import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from qjrl import artifacts, progress
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.residual import figures, tables
 from qjrl.analysis.tables import as_markdown, as_text
-from qjrl.control.policy_training import PolicyConfig, check_control_period, check_training
+from qjrl.control.policy_training import PolicyConfig, check_training
 from qjrl.control.studies.parameter_effects import one_at_a_time
 from qjrl.control.studies.residual import (
     ResidualStudyConfig,
@@ -24,7 +23,7 @@ from qjrl.control.studies.residual import (
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 
 log = logging.getLogger(__name__)
 
@@ -32,27 +31,21 @@ log = logging.getLogger(__name__)
 @dataclasses.dataclass(frozen=True)
 class Config:
     robot: dict
-    simulation: SettleConfig
+    engine: EngineConfig
     policy: PolicyConfig
     residual: ResidualStudyConfig
     seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps, and the devices share the arms."""
-        check_control_period(self.policy.environment, self.simulation.timestep)
-        check_training(self.policy, self.simulation)
-
-    @property
-    def blocks(self) -> dict[str, Any]:
-        """What of the threads reaches the training."""
-        return self.policy.blocks(self.simulation)
+        check_training(self.policy, self.engine)
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `traces.npz`, `table.md`, the figures, and a directory for each ablation."""
     robot, settings = robot_from_mapping(config.robot), config.residual
     held_out, bank = (artifacts.load(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
-    subject = make_subject(robot, config.simulation, config.policy, held_out, settings.num_targets, config.seed)
+    subject = make_subject(robot, config.engine, config.policy, held_out, settings.num_targets, config.seed)
     traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
     artifacts.write_arrays(out / "traces.npz", traces | {"target_set": subject.targets["target_set"]})
     for index, name in enumerate(TARGET_SETS):

@@ -17,6 +17,7 @@ from qjrl.control.studies.robustness import RobustnessConfig, disturbances, judg
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
 
 log = logging.getLogger(__name__)
@@ -26,13 +27,19 @@ log = logging.getLogger(__name__)
 class Config:
     robot: dict
     simulation: SettleConfig
+    engine: EngineConfig
     policy: PolicyConfig
     robustness: RobustnessConfig
     seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""
-        check_control_period(self.policy.environment, self.simulation.timestep)
+        check_control_period(self.policy.environment, self.physics.timestep)
+
+    @property
+    def physics(self) -> SettleConfig | EngineConfig:
+        """What judges."""
+        return self.engine if self.robustness.engine == "training" else self.simulation
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
@@ -43,9 +50,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     rows = len(disturbances(settings, config.policy.environment)) * len(TARGET_SETS) * settings.num_targets
     controllers = 1 + len({*settings.bases, config.policy.base})
     with progress.track(controllers * rows * config.policy.environment.episode_steps, "disturbing") as advance:
-        judged = judge_disturbed(
-            robot, config.simulation, config.policy, settings, policy, targets, config.seed, advance
-        )
+        judged = judge_disturbed(robot, config.physics, config.policy, settings, policy, targets, config.seed, advance)
     found = {disturbance: [_outcome(*key, *value) for key, value in one.items()] for disturbance, one in judged.items()}
     names = controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
     metrics, table = robustness_metrics(found, *names), robustness_table(found, *names)

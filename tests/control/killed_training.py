@@ -7,19 +7,18 @@ from pathlib import Path
 
 import jax
 from test_policy_training import POLICY, columns
-from worlds import ARM
+from worlds import ARM, ENGINE
 
 from qjrl.control.policy_training import train_policy
-from qjrl.learning.ppo.imitation import ImitationConfig
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.learning.ppo.dagger import DaggerConfig
 
 PPO = dataclasses.replace(
     POLICY.ppo,
     num_steps=120 * POLICY.num_envs * POLICY.ppo.unroll_length,
-    imitation=ImitationConfig(rounds=4, steps=40),
+    dagger=DaggerConfig(rounds=4, steps=40),
 )
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    config = dataclasses.replace(POLICY, engine="minimal", ppo=PPO)
-    train_policy(ARM, SettleConfig(), config, columns(), 0, Path(sys.argv[1]))
+    config = dataclasses.replace(POLICY, ppo=PPO)
+    train_policy(ARM, ENGINE, config, columns(), 0, Path(sys.argv[1]))

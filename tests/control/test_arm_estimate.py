@@ -11,9 +11,10 @@ from arms import arm_named
 
 from qjrl.control import arm_estimate, controller
 from qjrl.control.arm_estimate import EstimateConfig, Prior
+from qjrl.control.bases import environment_of
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.observations import held_rotation_vectors
-from qjrl.control.tip_correction import sensed_pose, weighted_difference
+from qjrl.control.tip_correction import sensed_pose, tip_error
 from qjrl.robot import cable_lengths, equilibrium, forward_kinematics
 
 ARM = arm_named("qj_22")
@@ -88,29 +89,35 @@ def test_many_priors_are_each_arm_s_own():
 
 
 @pytest.fixture(scope="module")
-def settled():
-    """A controller that has waited at a target 10 mm off, reading what is believed: its configuration and state."""
-    config = EnvironmentConfig().controller
+def config():
+    return environment_of(EnvironmentConfig(), "estimate").controller
+
+
+@pytest.fixture(scope="module")
+def settled(config):
+    """A controller that has waited at a target 10 mm off, its next reading being what is believed: state and reading."""
     target = forward_kinematics(ARM, jnp.array([[0.26, 0.1], [-0.2, 0.3]]))
-    state = controller.begin(config, ARM, target, LENGTHS, BELIEVED)
+    task = dataclasses.replace(controller.task_of(config, ARM, target, LENGTHS), prior=BELIEVED)
+    state = controller.begin(config, ARM, task)
     memory = jnp.broadcast_to(state.expected, state.memory.shape)
-    return config, dataclasses.replace(state, command=LENGTHS, memory=memory, step=jnp.asarray(150, jnp.int32))
+    state = dataclasses.replace(state, command=LENGTHS, memory=memory, step=jnp.asarray(149, jnp.int32))
+    return state, held_rotation_vectors(ARM, LENGTHS) + BELIEVED.expected
 
 
-def test_the_tip_lacks_by_the_estimate_what_it_lacks_where_the_arm_is_believed_to_rest(settled):
-    config, state = settled
-    held = held_rotation_vectors(ARM, LENGTHS)
-    expected = weighted_difference(sensed_pose(ARM, held + BELIEVED.expected), state.target)
-    found = controller.lacking(config, ARM, state, controller.estimated(config, ARM, state))
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+def test_the_tip_lacks_by_the_estimate_what_it_lacks_where_the_arm_is_believed_to_rest(config, settled):
+    before, reading = settled
+    expected = tip_error(sensed_pose(ARM, reading), before.target)
+    found = controller.sense(config, ARM, before, reading)
+    np.testing.assert_allclose(found.estimated, BELIEVED.expected, atol=1e-12)
+    np.testing.assert_allclose(found.tip_error, expected, atol=1e-12)
     assert np.abs(expected).max() > 1e-3
-    early = dataclasses.replace(state, step=jnp.asarray(1, jnp.int32))
-    assert not np.any(controller.lacking(config, ARM, early, controller.estimated(config, ARM, early)))
+    early = dataclasses.replace(before, step=jnp.asarray(0, jnp.int32))
+    assert not np.any(controller.sense(config, ARM, early, reading).tip_error)
 
 
-def test_the_controller_s_own_action_makes_up_for_that_and_only_if_it_shall(settled):
-    config, state = settled
-    found = controller.lacking(config, ARM, state, controller.estimated(config, ARM, state))
-    np.testing.assert_allclose(config.residual.bound * controller.own_action(config, ARM, state), found, atol=1e-12)
+def test_the_controller_s_own_action_makes_up_for_that_and_only_if_it_shall(config, settled):
+    state = controller.sense(config, ARM, *settled)
+    own = config.residual.bound * controller.own_action(config, state)
+    np.testing.assert_allclose(own, state.tip_error, atol=1e-12)
     still = dataclasses.replace(config, estimate=dataclasses.replace(config.estimate, acts=False))
-    np.testing.assert_array_equal(controller.own_action(still, ARM, state), np.zeros(6))
+    np.testing.assert_array_equal(controller.own_action(still, state), np.zeros(6))

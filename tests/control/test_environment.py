@@ -1,3 +1,5 @@
+"""The environment as one program: pure, float32, and arms that know nothing of each other."""
+
 import dataclasses
 
 import jax
@@ -7,180 +9,108 @@ import pytest
 from worlds import (
     ARM,
     CONFIG,
+    ENGINE,
     NUM_ENVS,
     assert_same_bits,
     bank,
-    environment,
-    judged_environment,
+    keys_of,
+    nothing,
+    plain,
+    policy_that,
     random_actions,
+    reset,
+    rows_in,
+    shared_env,
+    step,
 )
 
-from qjrl.config import ConfigError, build
+from qjrl.config import ConfigError
 from qjrl.control import motors
-from qjrl.control.bases import BASES, environment_of
-from qjrl.control.environment import ResidualEnvironment
-from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.motors import DitherConfig
-from qjrl.control.observations import ACTION_HISTORY
+from qjrl.control.deployable import controller_functions
+from qjrl.control.environment import residual_env
 from qjrl.control.policy_training import acting
-from qjrl.control.sensors import MEMORY_SIZE
-from qjrl.control.tip_correction import IntegralConfig
-from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, VectorEnv, advice_of
-from qjrl.learning.ppo.iteration import compile_functions
-from qjrl.learning.ppo.training_state import initial_state, policy_of
-from qjrl.simulation.stepping import MujocoStepper
+from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, EXPERT_KEY, observation_sizes
+from qjrl.robot import in_precision
+from qjrl.simulation.engines import make_engine
 
-PERIOD = CONFIG.control_period
-
-
-def untrained_policy(env):
-    config = PPOConfig(actor_layers=(16, 16), critic_layers=(16,))
-    compiled = compile_functions(config, env)
-    return policy_of(initial_state(compiled.initialise, config, env, 0), config)
-
-
-def commands_of_an_episode(env, act):
-    """Motor commands (steps, envs, cables) up to the step before the last, and strand commands held by the physics."""
-    observation, commands, held = env.reset(), [], []
-    for _ in range(CONFIG.episode_steps - 1):
-        transition = env.step(act(observation[ACTOR_KEY]))
-        observation = transition.observation
-        commands.append(env.commands.copy())
-        held.append(env.get_state()["physics/state"].copy())
-    return np.array(commands), np.array(held)
+DTYPES = {np.dtype(one) for one in (np.float32, np.int32, np.uint32, bool)}
 
 
 @pytest.fixture(scope="module")
 def env():
-    return environment()
+    return shared_env()
 
 
 @pytest.fixture(scope="module")
-def judged():
-    return judged_environment()
+def begun(env):
+    return reset(env, keys_of())
 
 
-def test_it_is_an_environment_for_ppo(env):
-    assert isinstance(env, VectorEnv)
-    observation = env.reset()
-    assert {name: value.shape[1] for name, value in observation.items()} == env.observation_sizes
-    assert {value.dtype for value in observation.values()} == {np.dtype(np.float32)}
-    assert env.observation_sizes[CRITIC_KEY] > env.observation_sizes[ACTOR_KEY]
+def again(state):
+    """The same state once more, its keys unused."""
+    return jax.tree.map(lambda leaf: jax.random.wrap_key_data(plain(leaf)) if _is_key(leaf) else leaf, state)
 
 
-def test_the_untrained_policy_gives_exactly_the_base_controllers_commands(judged):
-    """Bit for bit, over a whole episode: motor commands and the state of the physics."""
-    untrained = acting(untrained_policy(judged))
-    with_policy, physics_with_policy = commands_of_an_episode(judged, untrained)
-    base_alone, physics_alone = commands_of_an_episode(judged, lambda seen: np.zeros((len(seen), ARM.num_cables)))
-    np.testing.assert_array_equal(with_policy, base_alone)
-    np.testing.assert_array_equal(physics_with_policy, physics_alone)
+def _is_key(leaf) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
 
 
-def test_the_base_controllers_commands_are_the_ramp(judged):
-    commands, _ = commands_of_an_episode(judged, lambda seen: np.zeros((len(seen), ARM.num_cables)))
-    for arm, base in enumerate(np.asarray(bank().base_lengths)[:NUM_ENVS]):
-        expected = [motors.ramped_base(ARM, base, jnp.asarray(step * PERIOD)) for step in range(1, len(commands) + 1)]
-        np.testing.assert_allclose(commands[:, arm], expected, atol=1e-15)
-        np.testing.assert_array_equal(commands[-1, arm], base)  # arrived
+def run(env, state, actions):
+    """All states after as many steps as there are actions."""
+    state, states = again(state), []
+    for action in actions:
+        state = step(env, state, action)
+        states.append(state)
+    return states
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_a_residual_at_full_rate_during_the_ramp_never_makes_a_motor_too_fast(judged, direction):
-    base = np.asarray(bank().base_lengths)[:NUM_ENVS]
-    action = direction * np.where(base < 0, -1.0, 1.0).astype(np.float32)
-    commands, _ = commands_of_an_episode(judged, lambda seen: action)
-    steps = np.diff(np.concatenate([np.zeros((1, *base.shape)), commands]), axis=0)
-    assert np.abs(steps).max() <= ARM.motor_speed * PERIOD * (1 + 1e-12)
-    residual = np.minimum(CONFIG.residual.rate * PERIOD * len(commands), CONFIG.residual.bound) * action
-    np.testing.assert_allclose(commands[-1], base + residual, atol=1e-9)  # summed, then limited
+def test_observations_have_a_row_an_arm_and_the_sizes_they_are_said_to_have(env, begun):
+    with jax.enable_x64(False):
+        sizes = observation_sizes(env)
+    after = step(env, again(begun), random_actions(1)[0])
+    for state in (begun, after):
+        for seen in (state.observation, state.final_observation):
+            assert {name: rows.shape for name, rows in seen.items()} == {n: (NUM_ENVS, k) for n, k in sizes.items()}
+    assert sizes[CRITIC_KEY] > sizes[ACTOR_KEY] and sizes[EXPERT_KEY] == env.action_size == ARM.num_cables
 
 
-def test_the_physics_holds_the_strands_of_the_command(judged):
-    """Through the tension of the strands: rest lengths alone differ between two identical arms."""
-    from qjrl.robot import strand_commands
-
-    judged.reset()
-    judged.step(random_actions(1)[0])
-    held = jax.vmap(lambda row: strand_commands(ARM, row))(judged.commands)
-    np.testing.assert_array_equal(judged._stepper._batch.ctrl, held)
-
-
-def test_only_the_bases_that_have_them_dither_and_feed_back(judged):
-    """The motors' commands, once arrived: exact, dithering about the answer, or drifting by what the encoders say."""
-    config = dataclasses.replace(
-        CONFIG, integral=IntegralConfig(gain=20.0), dither=DitherConfig(amplitude=0.0005, decay=0.05)
-    )
-    nothing = lambda seen: np.zeros((len(seen), ARM.num_cables))  # noqa: E731
-    moves = {}
-    for base in BASES:
-        one = environment(rows=np.arange(NUM_ENVS), config=environment_of(config, base))
-        commands, _ = commands_of_an_episode(one, nothing)
-        moves[base] = commands - np.asarray(bank().base_lengths)[:NUM_ENVS]
-    shortest = int(np.ceil(max(float(motors.ramp_time(ARM, row)) for row in bank().base_lengths[:NUM_ENVS]) / PERIOD))
-    arrived = {base: np.abs(move[shortest:]).max() for base, move in moves.items()}
-    assert arrived["nominal"] == arrived["learned"] == 0.0
-    assert 1e-4 < arrived["dither"] <= 5e-4 and arrived["integral"] > 1e-5
+def test_reset_and_step_give_one_structure_and_nothing_is_float64(env, begun):
+    after = step(env, again(begun), random_actions(1)[0])
+    assert jax.tree.structure(begun) == jax.tree.structure(after)
+    for one, other in zip(jax.tree.leaves(begun), jax.tree.leaves(after), strict=True):
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+        assert plain(one).dtype in DTYPES
+    numbers = jax.tree.leaves((env.robot, env.tasks, env.engine))
+    assert {np.asarray(leaf).dtype for leaf in numbers} <= DTYPES
 
 
-def test_dither_frees_an_arm_that_hardly_moves():
-    """Friction holds a leaning arm upright at home; shaken, it rests where it would without friction."""
-    near, drawn = bank(share=1e-4), dataclasses.replace(CONFIG.randomisation, least_tilt_deg=5.0, encoder_noise_deg=0.0)
-    tips = {}
-    for friction, amplitude in ((0.0, 0.0), (3.0, 0.0), (3.0, 5e-4)):
-        config = dataclasses.replace(
-            CONFIG,
-            episode_steps=100,
-            dither=DitherConfig(amplitude=amplitude),
-            randomisation=dataclasses.replace(drawn, strand_friction=(friction, friction)),
-        )
-        one = environment(rows=np.arange(NUM_ENVS), config=config, targets=near)
-        one.reset()
-        for _ in range(config.episode_steps - 1):
-            one.step(np.zeros((NUM_ENVS, ARM.num_cables)))
-        tips[friction, amplitude] = np.array(one._stepper.read().pose[:, :3])
-    held, shaken = (np.linalg.norm(tips[3.0, swing] - tips[0.0, 0.0], axis=1) for swing in (0.0, 5e-4))
-    assert np.linalg.norm(shaken) < 0.4 * np.linalg.norm(held)
+def test_the_same_input_is_answered_by_the_same_bits(env, begun):
+    actions = random_actions(CONFIG.episode_steps + 3)
+    one, other = (run(env, begun, actions)[-1] for _ in range(2))
+    assert_same_bits(one, other)
+    assert_same_bits(reset(env, keys_of()), begun)
+    assert not np.array_equal(reset(env, keys_of(1)).observation[ACTOR_KEY], begun.observation[ACTOR_KEY])
 
 
-def advised_episode(follows, amplitude):
-    """Advice at every step of an episode without friction, and the position errors at its end [m]."""
-    drawn = dataclasses.replace(CONFIG.randomisation, strand_friction=(0.0, 0.0))
-    config = dataclasses.replace(CONFIG, episode_steps=80, dither=DitherConfig(amplitude), randomisation=drawn)
-    one, advised, errors = environment(rows=np.arange(NUM_ENVS), config=config), [], []
-    observation = one.reset()
-    for _ in range(config.episode_steps - 1):
-        advised.append(np.asarray(advice_of(observation, ARM.num_cables)))
-        transition = one.step(follows * advised[-1])
-        observation = transition.observation
-        errors.append(transition.metrics["position_error"])
-    return np.array(advised), errors[-1]
+def test_arms_depend_on_their_key_alone(env, begun):
+    """Exchanged, they do what they did; and begun by twos, by fours they are the same."""
+    order, actions = np.array([2, 0, 3, 1]), random_actions(6)
+    exchanged = run(env, reset(env, keys_of()[order]), actions[:, order])[-1]
+    assert_same_bits(rows_in(exchanged, np.argsort(order)), rows_in(run(env, begun, actions)[-1], np.arange(NUM_ENVS)))
+    halves = [reset(env, keys_of()[half]) for half in (slice(0, 2), slice(2, 4))]
+    for whole, *parts in zip(*map(jax.tree.leaves, (begun, *halves)), strict=True):
+        np.testing.assert_allclose(np.concatenate([plain(part) for part in parts]), plain(whole), atol=1e-6)
 
 
-def test_following_the_advice_takes_the_tip_to_its_target():
-    _, ignored = advised_episode(0.0, 0.0)
-    _, followed = advised_episode(1.0, 0.0)
-    assert np.all(followed < 0.01 * ignored)
+def test_later_episodes_are_whole_and_end_by_the_time_limit_alone(env, begun):
+    for number, state in enumerate(run(env, begun, random_actions(2 * CONFIG.episode_steps)), 1):
+        assert not np.any(state.terminated) and np.all(state.valid)
+        assert np.all(np.asarray(state.truncated) == (number % CONFIG.episode_steps == 0))
 
 
-def test_the_advice_hardly_answers_the_swings():
-    (shaken, _), (still, _) = advised_episode(0.0, 5e-4), advised_episode(0.0, 0.0)
-    late = slice(45, None)  # swings of 0.2 mm and less
-    assert np.abs(shaken[late] - still[late]).max() * CONFIG.residual.bound < 5e-5
-
-
-def test_episodes_end_by_the_time_limit_alone(judged):
-    judged.reset()
-    for step in range(1, 2 * CONFIG.episode_steps + 1):
-        transition = judged.step(random_actions(1, step)[0])
-        assert not np.any(transition.terminated) and np.all(transition.valid)
-        assert np.all(transition.truncated == (step % CONFIG.episode_steps == 0))
-
-
-def test_first_episodes_are_cut_short_and_all_later_ones_whole(env):
-    env.reset()
-    ends = np.array([env.step(np.zeros((NUM_ENVS, ARM.num_cables))).truncated for _ in range(3 * CONFIG.episode_steps)])
+def test_first_episodes_are_spread_over_all_phases_and_later_ones_are_whole(env):
+    states = run(env, reset(env, keys_of(3), spread=True), [nothing()] * 3 * CONFIG.episode_steps)
+    ends = np.array([state.truncated for state in states])
     for column in ends.T:
         at = np.flatnonzero(column) + 1
         assert 1 <= at[0] <= CONFIG.episode_steps
@@ -188,151 +118,134 @@ def test_first_episodes_are_cut_short_and_all_later_ones_whole(env):
     assert len({int(np.argmax(column)) for column in ends.T}) > 1
 
 
-def test_only_arms_whose_episode_ended_start_anew(env):
-    observation = env.reset()
-    for step in range(CONFIG.episode_steps + 5):
-        transition = env.step(random_actions(1, step)[0])
-        going_on = ~np.asarray(transition.truncated)
-        for name, final in transition.final_observation.items():
-            np.testing.assert_array_equal(final[going_on], transition.observation[name][going_on])
-            if not going_on.all():
-                assert np.any(final[~going_on] != transition.observation[name][~going_on], axis=1).all()
-        commands = env.commands
-        assert np.all(commands[~going_on] == 0.0) and np.all(np.any(commands[going_on] != 0.0, axis=1))
-        observation = transition.observation
-    assert all(np.isfinite(value).all() for value in observation.values())
+def test_only_arms_whose_episode_ended_begin_anew(env):
+    """The others' bits are those of a run in which nobody ends."""
+    spread = reset(env, keys_of(4), spread=True)
+    whole = dataclasses.replace(spread.inner.episode, episode_steps=jnp.full(NUM_ENVS, 1000, jnp.int32))
+    endless = spread.replace(inner=spread.inner.replace(episode=whole))
+    actions = random_actions(CONFIG.episode_steps)
+    is_first, some_ended = np.ones(NUM_ENVS, bool), 0
+    for one, other in zip(run(env, spread, actions), run(env, endless, actions), strict=True):
+        ended, commands = np.asarray(one.truncated), np.asarray(one.inner.episode.control.command)
+        for name, final in one.final_observation.items():
+            np.testing.assert_array_equal(final[~ended], one.observation[name][~ended])
+            np.testing.assert_array_equal(final[is_first], other.observation[name][is_first])
+            if name != EXPERT_KEY:
+                assert np.any(final[ended] != one.observation[name][ended], axis=1).all()
+        is_first &= ~ended
+        same = [tree.inner.plant for tree in (one, other)], [tree.inner.episode.control for tree in (one, other)]
+        for left, right in same:
+            assert_same_bits(rows_in(left, is_first), rows_in(right, is_first))
+        assert np.all(commands[ended] == 0.0) and np.all(np.any(commands[~ended] != 0.0, axis=1))
+        some_ended += ended.any() and not ended.all()
+    assert some_ended >= 2 and not is_first.any()
 
 
-def test_the_actors_memory_of_its_actions_is_newest_first(judged):
-    judged.reset()
-    actions = random_actions(5)
-    transition = [judged.step(action) for action in actions][-1]
-    sizes = (
-        ARM.num_cables
-    )  # base bends, deviations now and remembered, and what the tip lacks come first, also by the estimate
-    start = 2 * ARM.num_segments * (1 + 1 + MEMORY_SIZE + 1) + 6 * (1 + MEMORY_SIZE + 1)
-    seen = transition.observation[ACTOR_KEY][:, start : start + ACTION_HISTORY * sizes]
-    expected = np.concatenate([actions[-1], actions[-2], actions[-3], actions[-4]], axis=1)
-    np.testing.assert_array_equal(seen, expected)
+def test_who_begins_anew_is_another_arm(env, begun):
+    last = run(env, begun, [nothing()] * CONFIG.episode_steps)[-1]
+    for name in ("strand_friction", "strand_stiffness"):
+        one, other = (getattr(state.inner.plant.physics, name) for state in (begun, last))
+        assert np.all(np.any(np.reshape(one != other, (NUM_ENVS, -1)), axis=1))
+    assert np.all(np.any(last.observation[ACTOR_KEY] != last.final_observation[ACTOR_KEY], axis=1))
 
 
-def test_the_errors_reported_are_those_of_the_true_tip(judged):
-    judged.reset()
-    transition = judged.step(random_actions(1)[0])
-    tip = judged._stepper.read().pose[:, :3]
-    expected = np.linalg.norm(tip - np.asarray(bank().target)[:NUM_ENVS, :3], axis=1)
-    np.testing.assert_allclose(transition.metrics["position_error"], expected, atol=1e-12)
+def altered(state, **moving):
+    """Another state of the physics."""
+    guarded = state.inner.plant.state
+    plant = state.inner.plant.replace(state=guarded.replace(moving=guarded.moving.replace(**moving)))
+    return state.replace(inner=state.inner.replace(plant=plant))
 
 
-def test_a_state_taken_and_set_repeats_what_came_after_bit_for_bit(env):
-    env.reset()
-    actions = random_actions(CONFIG.episode_steps + 20)
-    for action in actions[:10]:
-        env.step(action)
-    state = env.get_state()
-    assert all(isinstance(value, np.ndarray) and value.dtype != object for value in state.values())
-    kept = {name: value.copy() for name, value in state.items()}
-    first = [env.step(action) for action in actions[10:]]
-    after = env.get_state()
-    other = environment(seed=99)
-    other.set_state(kept)
-    again = [other.step(action) for action in actions[10:]]
-    for one, two in zip(first, again, strict=True):
-        assert_same_bits(one.observation, two.observation)
-        assert_same_bits(one.metrics, two.metrics)
-        np.testing.assert_array_equal(one.reward, two.reward)
-        np.testing.assert_array_equal(one.truncated, two.truncated)
-    assert_same_bits(after, other.get_state())
-    assert_same_bits(state, kept)  # what was handed out did not change under the steps
-    assert np.any([one.truncated for one in first])
+def test_a_lost_arm_terminates_at_its_cost_and_begins_anew(env, begun):
+    """Strands of arm 1 pull a hundred times as hard, for a second by its clock: the arm is lost, the simulation sound."""
+    actions = random_actions(4)
+    states, others = run(env, begun, actions), [0, 2, 3]
+    arms = again(states[1]).inner
+    physics, overloaded = arms.plant.physics, arms.episode.overloaded.at[1].set(1.0)
+    physics = physics.replace(strand_stiffness=physics.strand_stiffness.at[1].multiply(100.0))
+    arms = arms.replace(plant=arms.plant.replace(physics=physics), episode=arms.episode.replace(overloaded=overloaded))
+    found = step(env, states[1].replace(inner=arms), actions[2])
+    assert np.asarray(found.terminated).tolist() == [False, True, False, False]
+    assert np.asarray(found.valid).all() and not np.any(found.truncated)
+    assert np.all((np.asarray(found.reward) < -38.0) == np.asarray(found.terminated))
+    assert np.all(np.asarray(found.inner.episode.control.command)[1] == 0.0) and found.metrics["position_error"][1] > 0
+    assert_same_bits(rows_in(found, others), rows_in(states[2], others))
+    assert not np.any(step(env, found, actions[3]).terminated)
 
 
-def test_an_untouched_environment_of_the_same_seed_is_the_same_and_of_another_is_not(env):
-    first, again, other = env.reset(), environment().reset(), environment(seed=1).reset()
-    assert_same_bits(first, again)
-    assert not np.array_equal(first[ACTOR_KEY], other[ACTOR_KEY])
+def diverging(env, begun, how):
+    """A run of which arm 2 diverges in step 4, the same without, and the states before it."""
+    actions = random_actions(8)
+    states = run(env, begun, actions)
+    before, broken = again(states[2]), actions[3:].copy()
+    if how == "an action that is no number":
+        broken[0, 2] = np.nan
+    else:
+        before = altered(before, rates=before.inner.plant.state.moving.rates.at[2].set(np.float32(how)))
+    return run(env, before, broken), states[3:], states[2]
 
 
-def test_a_diverged_simulation_is_invalid_starts_anew_and_spoils_no_other(env):
-    actions = random_actions(6)
-    env.reset()
-    for action in actions[:3]:
-        sound = env.step(action)
-    sound = env.step(actions[3])
-    env.reset()
-    for action in actions[:3]:
-        env.step(action)
-    broken = actions[3].copy()
-    broken[2] = np.nan
-    transition = env.step(broken)
-    others = [0, 1, 3]
-    assert transition.valid.tolist() == [True, True, False, True]
-    assert sound.diverged == {} and transition.diverged["copy"].tolist() == [2]
-    assert np.isnan(transition.diverged["strand_commands"]).any()
-    friction = env.get_state()["physics/strand_friction"][2]
-    assert transition.diverged["state/pose"].shape == (1, 9)
-    assert transition.diverged["parameters/strand_friction"] != friction  # that of the arm before it began anew
-    assert not np.any(transition.truncated[2]) and not np.any(transition.terminated)
-    assert transition.reward[2] == 0.0 and np.isnan(transition.metrics["position_error"][2])
-    for name, value in transition.observation.items():
-        np.testing.assert_array_equal(value[others], sound.observation[name][others])
-        assert np.isfinite(value[2]).all()
-    assert np.all(env.commands[2] == 0.0)
-    for action in actions[4:]:
-        transition = env.step(action)
-        assert transition.valid.all() and np.isfinite(transition.observation[CRITIC_KEY]).all()
+@pytest.mark.parametrize("how", ["an action that is no number", 1e6, 1e12])
+def test_a_diverged_simulation_is_invalid_begins_anew_and_spoils_no_other(env, begun, how):
+    found, sound, before = diverging(env, begun, how)
+    first, others = found[0], [0, 1, 3]
+    assert np.asarray(first.valid).tolist() == [True, True, False, True]
+    assert not np.any(first.truncated) and not np.any(first.terminated)
+    assert first.reward[2] == 0.0 and np.isnan(first.metrics["position_error"][2])
+    assert np.all(np.asarray(first.inner.episode.control.command)[2] == 0.0)
+    assert first.inner.plant.physics.strand_friction[2] != before.inner.plant.physics.strand_friction[2]
+    for one, other in zip(found, sound, strict=True):
+        assert np.asarray(other.valid).all()
+        assert_same_bits(rows_in(one, others), rows_in(other, others))
+        assert all(np.isfinite(rows).all() for rows in one.observation.values())
+    assert all(np.asarray(state.valid).all() for state in found[1:])
 
 
-def test_a_simulation_that_blows_up_inside_the_physics_is_invalid_too(env):
-    env.reset()
-    state = env.get_state()
-    env._stepper._velocities[1] = 1e9
-    transition = env.step(random_actions(1)[0])
-    assert transition.valid.tolist() == [True, False, True, True]
-    assert np.isfinite(transition.observation[CRITIC_KEY]).all()
-    assert env.step(random_actions(1)[0]).valid.all()
-    env.set_state(state)
+def test_the_untrained_policy_gives_exactly_the_base_controllers_commands(env, begun):
+    """Bit for bit, over a whole episode: motor commands and the state of the physics."""
+    act = acting(policy_that(0.0))
+    state, base_alone = again(begun), run(env, begun, [nothing()] * (CONFIG.episode_steps - 1))
+    for expected in base_alone:
+        state = step(env, state, act(np.asarray(state.observation[ACTOR_KEY])))
+        assert_same_bits(state, expected)
 
 
-def test_no_key_is_used_twice(env):
+def test_the_base_controllers_commands_are_the_ramp(env, begun):
+    states = run(env, begun, [nothing()] * (CONFIG.episode_steps - 1))
+    lengths = np.asarray(begun.inner.episode.control.base_lengths)
+    for number, state in enumerate(states, 1):
+        for arm, base in enumerate(lengths):
+            ramped = motors.ramped_base(ARM, jnp.asarray(base, float), jnp.asarray(number * CONFIG.control_period))
+            np.testing.assert_allclose(state.inner.episode.control.command[arm], ramped, atol=1e-7)
+    np.testing.assert_array_equal(states[-1].inner.episode.control.command, lengths)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.7])
+def test_a_deployed_controller_commands_what_the_environment_does_on_the_same_readings(env, begun, bias):
+    """Step by step, over a whole episode: what is trained is what is shipped."""
+    policy, control = policy_that(bias), begun.inner.episode.control
+    act, state, expected, readings = acting(policy), again(begun), [], [control.reading]
+    for _ in range(CONFIG.episode_steps - 1):
+        state = step(env, state, act(np.asarray(state.observation[ACTOR_KEY])))
+        expected.append(np.asarray(state.inner.episode.control.command))
+        readings.append(state.inner.episode.control.reading)
+    with jax.enable_x64(False):
+        functions = controller_functions(CONFIG.controller, in_precision(ARM, "float32"), policy)
+        begin, tick = (jax.jit(jax.vmap(function)) for function in (functions.begin, functions.step))
+        deployed = begin(control.target, control.base_lengths, readings[0])
+        for reading, commands in zip(readings[:-1], expected, strict=True):
+            deployed = tick(deployed, reading)
+            np.testing.assert_allclose(deployed["command"], commands, rtol=0.0, atol=1e-7)
+    assert np.abs(expected[-1] - control.base_lengths).max() > (1e-3 if bias else -1.0)
+
+
+def test_no_key_is_used_twice(env, begun):
     with jax.debug_key_reuse(True):
-        env.reset()
-        for action in random_actions(CONFIG.episode_steps + 1):
-            env.step(action)
+        run(env, begun, random_actions(CONFIG.episode_steps + 1))
+        reset(env, keys_of(), spread=True)
 
 
-def test_bare_physics_can_be_stepped_to_compare_rates_with(env):
-    env.reset()
-    env.step(random_actions(1)[0])
-    command = env.commands.copy()
-    env.step_physics()
-    np.testing.assert_array_equal(env.commands, command)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"latest_arrival": 3.6}, r"^environment.latest_arrival: got 3.6, allowed: at most 3.5"),
-        ({"episode_steps": 0}, r"^environment.episode_steps: got 0"),
-        ({"residual": {"rate": -1.0}}, r"^environment.residual.rate: got -1.0"),
-    ],
-)
-def test_impossible_episodes_are_one_line(change, message):
-    with pytest.raises(ConfigError, match=message):
-        build(EnvironmentConfig, change, "environment")
-
-
-def test_the_scored_time_is_whole_control_steps():
-    assert EnvironmentConfig().scored_steps == 25
-    assert dataclasses.replace(CONFIG, scored_time=0.05).scored_steps == 3
-    assert CONFIG.scored_steps == 3
-
-
-def test_arms_in_two_halves_are_those_of_one_whole():
-    def reset(num_envs, first):
-        world = ResidualEnvironment(ARM, CONFIG, bank(), MujocoStepper(ARM, num_envs), 0, first=first)
-        return world.get_state()
-
-    whole, halves = reset(4, 0), [reset(2, 0), reset(2, 2)]
-    for name, values in whole.items():
-        np.testing.assert_allclose(np.concatenate([half[name] for half in halves]), values, atol=1e-12, err_msg=name)
+def test_a_control_period_that_is_no_multiple_of_the_time_step_is_one_line():
+    config = dataclasses.replace(CONFIG, control_period=0.022)
+    with pytest.raises(ConfigError, match="control_period"):
+        residual_env(ARM, config, bank(), make_engine(ARM, ENGINE))

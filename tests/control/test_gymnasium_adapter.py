@@ -1,21 +1,37 @@
+import tomllib
+from pathlib import Path
+
+import gymnasium
 import numpy as np
 import pytest
+import worlds
+from gymnasium.envs.registration import namespace, registry
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, VectorEnv
-from worlds import ARM, CONFIG, NUM_ENVS, environment, random_actions
+from worlds import ARM, CONFIG, ENGINE, NUM_ENVS, random_actions, shared_env
 
-from qjrl.control.gymnasium_adapter import ResidualEnv, ResidualVectorEnv
+from qjrl.control import gymnasium_adapter, gymnasium_registration
+from qjrl.control.gymnasium_adapter import ResidualArmEnv, ResidualVectorEnv
 from qjrl.learning.ppo.environment import CRITIC_KEY
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled():
+    """The programs that other tests have compiled, those of the same functions."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gymnasium_adapter, "_reset", worlds._reset)
+        patch.setattr(gymnasium_adapter, "_step", worlds._step)
+        yield
 
 
 @pytest.fixture(scope="module")
 def arms():
-    return ResidualVectorEnv(environment())
+    return ResidualVectorEnv(shared_env(), NUM_ENVS)
 
 
 @pytest.fixture(scope="module")
 def arm():
-    return ResidualEnv(environment(num_envs=1))
+    return ResidualArmEnv(shared_env())
 
 
 def test_gymnasiums_own_checker_accepts_one_arm(arm):
@@ -70,6 +86,38 @@ def test_a_diverged_arm_is_truncated_where_it_was_last_sound(arms):
     assert np.isfinite(observation).all()
 
 
-def test_one_arm_means_one():
-    with pytest.raises(ValueError, match="environment: got 4 arms, allowed: 1"):
-        ResidualEnv(environment())
+@pytest.mark.parametrize("make", [lambda: ResidualArmEnv(shared_env()), lambda: ResidualVectorEnv(shared_env(), 4)])
+def test_a_step_before_the_first_reset_is_one_line(make):
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"^step: the environment has not been reset"):
+        make().step(random_actions(1)[0])
+
+
+@pytest.fixture
+def registered():
+    """As Gymnasium's entry point does it."""
+    with namespace("qjrl"):
+        gymnasium_registration.register()
+    yield
+    del registry["qjrl/Residual-v0"]
+
+
+def test_the_package_registers_itself_by_an_entry_point():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    register = gymnasium_registration.register
+    entry = f"{register.__module__}:{register.__name__}"
+    assert project["entry-points"]["gymnasium.envs"] == {"qjrl": entry}
+
+
+def test_many_arms_of_a_shipped_robot_are_made_by_name(registered):
+    arms = gymnasium.make_vec("qjrl/Residual-v0", num_envs=2, robot="qj_22", num_targets=16)
+    observation, _ = arms.reset(seed=0)
+    assert observation.shape == arms.observation_space.shape and observation.shape[0] == arms.num_envs == 2
+    assert arms.action_space.shape == (2, 6) and np.isfinite(observation).all()  # the default residual moves the tip
+
+
+def test_one_arm_is_made_by_name_and_steps(registered):
+    made = gymnasium.make("qjrl/Residual-v0", robot="qj_22", config=CONFIG, engine=ENGINE, num_targets=256)
+    observation, _ = made.reset(seed=0)
+    following, reward, terminated, truncated, info = made.step(np.zeros(ARM.num_cables, np.float32))
+    assert observation in made.observation_space and np.any(following != observation) and np.isfinite(reward)
+    assert not terminated and not truncated and info["valid"]

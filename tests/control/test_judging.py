@@ -2,25 +2,32 @@ import dataclasses
 
 import numpy as np
 import pytest
-from worlds import ARM, CONFIG, NUM_ENVS, bank, judged_environment, random_actions
+from worlds import (
+    ARM,
+    CONFIG,
+    ENGINE,
+    NUM_ENVS,
+    World,
+    assert_same_bits,
+    bank,
+    nothing,
+    policy_that,
+    random_actions,
+    rows_of,
+)
 
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
-from qjrl.control.episode import Bank
 from qjrl.control.judging import Judge, arrives_in_time, do_nothing
 from qjrl.control.motors import ramp_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.environment import ACTOR_KEY
-from qjrl.learning.ppo.policy import Policy
+from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper
 
 QUANTITIES = ("position_error", "orientation_error", "strand_tension", "is_valid")
-
-
-def rows_of(targets, rows):
-    return Bank(targets.target[np.asarray(rows)], targets.base_lengths[np.asarray(rows)])
 
 
 def judge_of(targets, seed=5):
@@ -42,13 +49,10 @@ def assert_same_judgement(one, other):
         np.testing.assert_array_equal(getattr(one, quantity), getattr(other, quantity), err_msg=quantity)
 
 
-def physics_of(env):
-    """Parameters of every arm and the first readings of its encoders."""
-    observation = env.reset()
-    state = env.get_state()
-    parameters = {
-        name: value for name, value in state.items() if name.startswith("physics/") and name != "physics/state"
-    }
+def physics_of(world):
+    """Parameters of every arm, as the physics has them, and the first readings of its encoders."""
+    observation = world.reset()
+    parameters = world.stepper._parameters.arrays()
     return parameters, observation[ACTOR_KEY][:, 2 * ARM.num_segments : 4 * ARM.num_segments]
 
 
@@ -62,33 +66,30 @@ def test_doing_nothing_is_the_base_controller(judge, base_alone):
 
 def test_every_controller_meets_the_same_arms_and_the_same_noise(judge):
     """The parameters and the readings' noise do not depend on what the controller does."""
-    env = judged_environment(seed=5)
-    parameters, readings = physics_of(env)
+    world = World(seed=5)
+    parameters, readings = physics_of(world)
     noise = []
     for actions in (np.zeros((6, NUM_ENVS, ARM.num_cables)), random_actions(6)):
-        env.reset()
+        world.reset()
         for action in actions:
-            env.step(action)
-        state = env.get_state()
-        for name, value in parameters.items():
-            np.testing.assert_array_equal(state[name], value, err_msg=name)
-        noise.append(state["episode/key"])
-    np.testing.assert_array_equal(noise[0], noise[1])
-    other_base = dataclasses.replace(bank(), base_lengths=0.5 * bank().base_lengths)
-    env_of_other_base = type(env)(ARM, CONFIG, other_base, MujocoStepper(ARM, NUM_ENVS), 5, np.arange(NUM_ENVS))
-    other_parameters, other_readings = physics_of(env_of_other_base)
-    for name, value in parameters.items():
-        np.testing.assert_array_equal(other_parameters[name], value, err_msg=name)
+            world.step(action)
+        assert_same_bits(world.stepper._parameters.arrays(), parameters)
+        noise.append(world.state.key)
+    assert_same_bits(*noise)
+    targets = rows_of(bank(), range(NUM_ENVS))
+    other_base = dataclasses.replace(targets, base_lengths=0.5 * targets.base_lengths)
+    other_parameters, other_readings = physics_of(World(targets=other_base, seed=5))
+    assert_same_bits(other_parameters, parameters)
     np.testing.assert_array_equal(readings, other_readings)
 
 
 def test_arms_differ_from_row_to_row_and_from_seed_to_seed():
-    parameters, _ = physics_of(judged_environment(seed=5))
-    others, _ = physics_of(judged_environment(seed=6))
+    parameters, _ = physics_of(World(seed=5))
+    others, _ = physics_of(World(seed=6))
     for name in ("strand_damping_scale", "strand_friction", "armature_scale", "gain_scale", "tilt"):
-        values = parameters[f"physics/{name}"]
+        values = parameters[name]
         assert len(np.unique(values, axis=0)) == NUM_ENVS
-        assert not np.any(values == others[f"physics/{name}"])
+        assert not np.any(values == others[name])
 
 
 def test_a_controller_that_drives_away_is_judged_worse(judge, base_alone):
@@ -97,13 +98,12 @@ def test_a_controller_that_drives_away_is_judged_worse(judge, base_alone):
 
 
 def test_errors_are_means_over_the_scored_end(judge):
-    env = judged_environment(seed=5)
-    env.reset()
-    errors = [
-        env.step(np.zeros((NUM_ENVS, ARM.num_cables))).metrics["position_error"] for _ in range(CONFIG.episode_steps)
-    ]
-    expected = np.mean(errors[-CONFIG.scored_steps :], axis=0)
-    np.testing.assert_array_equal(judge.judge().position_error, expected)
+    world = World(seed=5)
+    world.reset()
+    errors = [np.asarray(world.step(nothing()).metrics["position_error"]) for _ in range(CONFIG.episode_steps)]
+    judged = judge.judge()
+    np.testing.assert_array_equal(judged.position_error, np.mean(errors[-CONFIG.scored_steps :], axis=0))
+    np.testing.assert_array_equal(judged.position_trace, errors)
 
 
 def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(judge, base_alone):
@@ -115,10 +115,27 @@ def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(judge, ba
         actions[1] = np.nan if len(calls) == 7 else 0.0
         return actions
 
-    judged, others = judge.judge(act), [0, 2, 3]
+    judged, others = judge.judge(act), [0, 2, 3]  # sound, all of them
     assert judged.is_valid.tolist() == [True, False, True, True] and base_alone.is_valid.all()
     for quantity in QUANTITIES:
         np.testing.assert_array_equal(getattr(judged, quantity)[others], getattr(base_alone, quantity)[others])
+
+
+def test_an_engine_judges_much_as_c_mujoco_does_and_leaves_the_neighbours_of_what_diverges_alone(base_alone):
+    """Errors of arms that follow their commands; on the way the two engines differ as two integrators do."""
+    targets = rows_of(bank(), range(NUM_ENVS))
+    judge = Judge(ARM, CONFIG, targets, make_stepper(ARM, NUM_ENVS, ENGINE), 5)
+    alone = judge.judge()
+    assert alone.is_valid.all()
+    np.testing.assert_allclose(alone.position_error, base_alone.position_error, rtol=0.0, atol=1e-3)
+
+    def act(seen):
+        return np.where(np.arange(NUM_ENVS)[:, None] == 1, np.nan, do_nothing(seen, ARM.num_cables))
+
+    judged, others = judge.judge(act), [0, 2, 3]
+    assert judged.is_valid.tolist() == [True, False, True, True]
+    for quantity in QUANTITIES:
+        np.testing.assert_array_equal(getattr(judged, quantity)[others], getattr(alone, quantity)[others])
 
 
 def test_progress_counts_every_step_of_every_arm(judge):
@@ -151,15 +168,6 @@ def columns(num_late=1):
         "nominal_lengths": lengths,
         "learned_lengths": np.asarray(targets.base_lengths),
     }
-
-
-def policy_that(bias):
-    """A policy whose action is tanh(bias) everywhere."""
-    size = judged_environment().observation_sizes[ACTOR_KEY]
-    head = np.concatenate([np.full(ARM.num_cables, bias), np.zeros(ARM.num_cables)]).astype(np.float32)
-    layers = {"hidden_0": {"kernel": np.zeros((size, 2 * ARM.num_cables), np.float32), "bias": head}}
-    ones = np.ones(size, np.float32)
-    return Policy(layers, 0 * ones, ones, activation="tanh", observation_clip=10.0)
 
 
 @pytest.fixture(scope="module")

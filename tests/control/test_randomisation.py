@@ -17,14 +17,13 @@ COUNT = 4000
 @pytest.fixture(scope="module")
 def drawn():
     keys = jax.random.split(jax.random.key(0), COUNT)
-    return {
-        name: np.asarray(value)
-        for name, value in jax.jit(jax.vmap(lambda key: draw_parameters(CONFIG, ARM, key)))(keys).items()
-    }
+    found = jax.jit(jax.vmap(lambda key: draw_parameters(CONFIG, ARM, key)))(keys)
+    return jax.tree.map(np.asarray, found).arrays()
 
 
-def test_all_physical_parameters_are_drawn_and_no_other(drawn):
-    assert drawn.keys() == {field.name for field in dataclasses.fields(PhysicalParameters)}
+def test_all_physical_parameters_are_drawn_of_the_shapes_that_a_stepper_takes(drawn):
+    nominal = PhysicalParameters.nominal(ARM, COUNT).arrays()
+    assert {name: values.shape for name, values in drawn.items()} == {n: values.shape for n, values in nominal.items()}
 
 
 @pytest.mark.parametrize("name", ["strand_damping_scale", "armature_scale", "gain_scale", "strand_stiffness_scale"])
@@ -53,7 +52,7 @@ def test_the_tilt_is_even_over_its_disc(drawn):
 def test_a_tilt_of_no_range_is_just_that_in_every_direction():
     config = RandomisationConfig(largest_tilt_deg=10.0, least_tilt_deg=10.0)
     keys = jax.random.split(jax.random.key(1), 200)
-    tilt = np.degrees(jax.vmap(lambda key: draw_parameters(config, ARM, key)["tilt"])(keys))
+    tilt = np.degrees(jax.vmap(lambda key: draw_parameters(config, ARM, key).tilt)(keys))
     np.testing.assert_allclose(np.linalg.norm(tilt, axis=1), 10.0, rtol=1e-12)
     assert np.all(np.histogram(np.arctan2(*tilt.T), 4, (-np.pi, np.pi))[0] > 30)
 
@@ -66,7 +65,7 @@ def test_the_quantities_are_drawn_independently(drawn):
 def test_a_range_of_no_width_is_that_value():
     config = RandomisationConfig((2.0, 2.0), (1.0, 1.0), (1.0, 1.0), (1.0, 1.0), 0.0, 0.0)
     found = draw_parameters(config, ARM, jax.random.key(1))
-    assert {name: np.asarray(value).tolist() for name, value in found.items()} == {
+    assert {field.name: np.asarray(getattr(found, field.name)).tolist() for field in dataclasses.fields(found)} == {
         "strand_damping_scale": 2.0,
         "strand_friction": 1.0,
         "armature_scale": 1.0,
@@ -79,7 +78,7 @@ def test_a_range_of_no_width_is_that_value():
 
 def test_no_key_is_used_twice():
     with jax.debug_key_reuse(True):
-        jax.jit(lambda key: draw_parameters(CONFIG, ARM, key))(jax.random.key(0))["tilt"].block_until_ready()
+        jax.jit(lambda key: draw_parameters(CONFIG, ARM, key))(jax.random.key(0)).tilt.block_until_ready()
         jax.vmap(lambda key: draw_parameters(CONFIG, ARM, key))(jax.random.split(jax.random.key(0), 3))
 
 

@@ -8,10 +8,10 @@ from qjrl.control.sensors import rotation_vectors
 from qjrl.control.tip_correction import (
     LEVER,
     IntegralConfig,
-    correction_matrix,
+    damped_pseudo_inverse,
     integrate,
     sensed_pose,
-    weighted_difference,
+    tip_error,
 )
 from qjrl.geometry.pose import pose_from_frame
 from qjrl.geometry.rotations import rotation_z
@@ -31,15 +31,15 @@ def test_without_damping_a_small_difference_is_made_up_in_one_step(name):
     lengths = jnp.asarray(over_rows(cable_lengths, arm, random_bends(arm, 1, seed=3))[0])
     moved = lengths + 1e-5 * np.random.default_rng(0).normal(size=arm.num_cables)
     target = tip(arm, moved)
-    difference = weighted_difference(tip(arm, lengths), target)
-    correction = correction_matrix(arm, lengths, damping=1e-6)
-    left = weighted_difference(tip(arm, lengths + correction @ difference), target)
+    difference = tip_error(tip(arm, lengths), target)
+    correction = damped_pseudo_inverse(arm, lengths, damping=1e-6)
+    left = tip_error(tip(arm, lengths + correction @ difference), target)
     assert float(jnp.linalg.norm(left)) < 1e-3 * float(jnp.linalg.norm(difference))
 
 
 def test_at_home_where_the_arm_cannot_lengthen_damping_keeps_the_cables_still():
     arm = arm_named("qj_2222")
-    correction = correction_matrix(arm, jnp.zeros(arm.num_cables))
+    correction = damped_pseudo_inverse(arm, jnp.zeros(arm.num_cables))
     assert np.abs(correction).max() < 1.0  # never more cable than tip
     up = correction @ jnp.array([0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
     aside = correction @ jnp.array([1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
@@ -50,8 +50,8 @@ def test_the_difference_is_a_shift_and_a_turn_of_the_lever():
     pose = pose_from_frame(jnp.array([0.1, 0.2, 0.3]), rotation_z(jnp.asarray(0.4)))
     target = pose_from_frame(jnp.array([0.11, 0.2, 0.27]), rotation_z(jnp.asarray(0.7)))
     expected = [0.01, 0.0, -0.03, 0.0, 0.0, 0.3 * LEVER]
-    np.testing.assert_allclose(weighted_difference(pose, target), expected, atol=1e-12)
-    np.testing.assert_allclose(weighted_difference(pose, pose), np.zeros(6), atol=1e-15)
+    np.testing.assert_allclose(tip_error(pose, target), expected, atol=1e-12)
+    np.testing.assert_allclose(tip_error(pose, pose), np.zeros(6), atol=1e-15)
 
 
 def test_the_sensed_pose_of_exact_encoders_is_the_kinematics():

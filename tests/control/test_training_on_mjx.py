@@ -6,20 +6,21 @@ from test_policy_training import NUM_ENVS, POLICY, PPO, columns
 from worlds import ARM
 
 from qjrl.artifacts import load
+from qjrl.control import policy_training
 from qjrl.control.policy_training import train_policy
 from qjrl.learning.ppo.policy import deterministic_action
-from qjrl.simulation import mjx_stepping
-from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.engine import EngineConfig
+from qjrl.simulation.mjx_engine import MjxEngine
 
 
 @pytest.mark.slow
 def test_one_iteration_of_ppo_trains_in_mjx(tmp_path, monkeypatch):
-    made, stepper = [], mjx_stepping.MjxStepper
-    monkeypatch.setattr(mjx_stepping, "MjxStepper", lambda *args: made.append(args[1]) or stepper(*args))
+    made, make = [], policy_training.residual_env
+    monkeypatch.setattr(policy_training, "residual_env", lambda *parts: made.append(parts[-1]) or make(*parts))
     ppo = dataclasses.replace(PPO, num_steps=PPO.unroll_length * NUM_ENVS, checkpoint_every=1)
-    config = dataclasses.replace(POLICY, engine="simulation", ppo=ppo)
-    policy = train_policy(ARM, SettleConfig(backend="mjx"), config, columns(), 0, tmp_path).policy
-    assert made == [2, NUM_ENVS]  # the judge's arms and those trained on
+    config = dataclasses.replace(POLICY, ppo=ppo)
+    policy = train_policy(ARM, EngineConfig("mjx", 0.004), config, columns(), 0, tmp_path).policy
+    assert [type(engine) for engine in made] == [MjxEngine]
     before, after = load(tmp_path / "progress.jsonl")
     assert (after["iteration"], after["env_steps"], after["invalid"]) == (1, ppo.num_steps, 0)
     assert np.isfinite(after["policy_loss"]) and after["evaluation/median_mm"] != before["evaluation/median_mm"]

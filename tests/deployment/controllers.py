@@ -15,9 +15,8 @@ from qjrl.control.simulated_arm import SimulatedArm, rehearse
 from qjrl.deployment.controller import deployed_controller
 from qjrl.deployment.controller_export import ControllerExportConfig, export_files
 from qjrl.deployment.controller_parity import Rehearsal
-from qjrl.deployment.functions import in_precision
 from qjrl.learning.ppo.policy import Policy
-from qjrl.robot import cable_lengths, forward_kinematics
+from qjrl.robot import cable_lengths, forward_kinematics, in_precision
 
 ARM = arm_named("qj_22")
 STEPS, PERIOD = 60, 0.02

@@ -10,7 +10,6 @@ from controllers import ARM, CONFIG, FILES, PERIOD, STEPS, deployed, exported, l
 
 from qjrl.artifacts import ArtifactError
 from qjrl.control import controller
-from qjrl.control.arm_estimate import prior
 from qjrl.control.deployable import checked_policy
 from qjrl.deployment import onnx_controller, onnx_model
 from qjrl.deployment.controller import deployed_controller
@@ -23,11 +22,11 @@ def test_a_prepared_controller_that_senses_its_first_reading_is_one_that_starts_
     target, lengths = (jnp.asarray(rows[0]) for rows in targets())
     reading = jnp.asarray(rehearsal().reading[0, 0])
     config = CONFIG.controller
-    believed = jax.jit(prior, static_argnums=0)(config.estimate, ARM, lengths)
+    task = jax.jit(controller.task_of, static_argnums=0)(config, ARM, target, lengths)
     both = jax.jit(
         lambda reading: (
             controller.sense(config, ARM, controller.prepare(config, ARM, target, lengths, reading), reading),
-            controller.start(ARM, controller.begin(config, ARM, target, lengths, believed), reading),
+            controller.start(config, ARM, controller.begin(config, ARM, task), reading),
         )
     )
     for one, other in zip(*map(jax.tree.leaves, both(reading)), strict=True):

@@ -11,7 +11,7 @@ from arms import arm_named
 
 from qjrl.robot import build_mjcf, joint_positions
 from qjrl.robot.quaternion_arm import dynamics
-from qjrl.simulation.xla_options import CPU_COMPILER_OPTIONS
+from qjrl.xla_options import CPU_COMPILER_OPTIONS
 
 ARMS = [
     "qj_22",

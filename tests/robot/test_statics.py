@@ -16,8 +16,10 @@ from qjrl.robot import (
     strand_tension,
 )
 from qjrl.simulation import settle
-from qjrl.simulation.minimal_stepping import MinimalStepper
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.simulation.engine import EngineConfig
+from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.simulation.stepping import PhysicalParameters
 
 ARM = arm_named("qj_22")
 BENDS = jnp.array([[0.25, 0.1], [-0.2, 0.3]])
@@ -26,11 +28,11 @@ GAIN, TILT, PULL = 0.02, 0.01, 0.5
 FOUND = equilibrium(ARM, LENGTHS)
 
 
-def rested(make, commands, **changed) -> np.ndarray:
+def rested(physics, commands, **changed) -> np.ndarray:
     """Bends after 4 s of holding rest lengths (n, strands) [m], without friction."""
     count = len(commands)
     parameters = dataclasses.replace(PhysicalParameters.nominal(ARM, count), strand_friction=np.zeros(count), **changed)
-    stepper = make(ARM, count, num_threads=1)
+    stepper = make_stepper(ARM, count, physics)
     stepper.reset(np.arange(count), np.asarray(joint_positions(ARM, BENDS)), commands, parameters)
     stepper.step(commands, round(4.0 / stepper.timestep))
     positions = stepper.read().joint_positions
@@ -49,12 +51,12 @@ def shifted():
     gain, tilt = np.ones(8), np.zeros((8, 2))
     gain[:2] = np.exp([GAIN, -GAIN])
     tilt[2:4, 0], tilt[4:6, 1] = [TILT, -TILT], [TILT, -TILT]
-    found = rested(MinimalStepper, commands, gain_scale=gain, tilt=tilt)
+    found = rested(EngineConfig("minimal", 0.005), commands, gain_scale=gain, tilt=tilt)
     return (found[::2] - found[1::2]) / 2.0
 
 
 def test_it_is_where_mujoco_rests():
-    assert np.abs(rested(MujocoStepper, held(1))[0] - FOUND.bends).max() < 2e-5
+    assert np.abs(rested(SettleConfig(num_threads=1), held(1))[0] - FOUND.bends).max() < 2e-5
     assert np.abs(BENDS - FOUND.bends).max() > 1e-3  # which is not where a perfect arm would be
 
 

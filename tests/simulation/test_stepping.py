@@ -79,7 +79,7 @@ def varied():
         stepper.step(beyond * (1 - share) + goal * share, 5)
     stepper.step(goal, 900)
     readout = stepper.read()
-    assert readout.is_finite.all()
+    assert readout.is_sound.all()
     return (
         dict(zip(VARIATIONS, moving, strict=True)),
         dict(zip(VARIATIONS, readout.pose[:, :3].copy(), strict=True)),
@@ -223,13 +223,13 @@ def test_a_diverged_simulation_is_told_apart_spoils_no_other_and_heals_when_rese
         poisoned.reset(np.array([1]), position, commands[1], PhysicalParameters.nominal(arm, 1))
     poisoned.step(broken, 10)
     sound.step(commands, 10)
-    assert poisoned.read().is_finite.tolist() == [True, False, True] and sound.read().is_finite.all()
+    assert poisoned.read().is_sound.tolist() == [True, False, True] and sound.read().is_sound.all()
     assert_same(snapshot(poisoned, [0, 2]), snapshot(sound, [0, 2]))
     poisoned.step(commands, 10)
-    assert not poisoned.read().is_finite[1]  # until it is reset
+    assert not poisoned.read().is_sound[1]  # until it is reset
     begin(poisoned, arm, ids=np.array([1]))
     begin(sound, arm, ids=np.array([1]))
-    assert poisoned.read().is_finite.all()
+    assert poisoned.read().is_sound.all()
     poisoned.step(commands, 10)
     sound.step(commands, 10)
     assert_same(snapshot(poisoned, [1]), snapshot(sound, [1]))

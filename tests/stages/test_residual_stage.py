@@ -8,11 +8,10 @@ import dataclasses
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from idle import idle_policy
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
-from qjrl.control.bases import bank_of, environment_of
-from qjrl.control.environment import ResidualEnvironment
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import RandomisationConfig
@@ -21,10 +20,9 @@ from qjrl.control.studies.parameter_effects import NOMINAL
 from qjrl.control.studies.residual import ResidualStudyConfig, ablate, effects, errors_of, make_subject
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.policy import Policy, save_policy
+from qjrl.learning.ppo.policy import save_policy
 from qjrl.robot import cable_lengths, forward_kinematics
-from qjrl.simulation import SettleConfig
-from qjrl.simulation.minimal_stepping import MinimalStepper
+from qjrl.simulation.engine import EngineConfig
 from qjrl.stages import residual
 
 pytestmark = pytest.mark.slow
@@ -70,19 +68,8 @@ def targets(seed):
 HELD_OUT, BANK = targets(0), targets(1)
 
 
-def nothing_doing() -> Policy:
-    """A policy whose action is zero."""
-    stepper, bank = MinimalStepper(ARM, 2), bank_of(HELD_OUT, CONFIG.base, np.arange(2))
-    environment = ResidualEnvironment(
-        ARM, environment_of(CONFIG.environment, CONFIG.base), bank, stepper, 0, np.arange(2)
-    )
-    size, outputs = environment.observation_sizes["state"], 2 * environment.action_size
-    layer = {"kernel": np.zeros((size, outputs), np.float32), "bias": np.zeros(outputs, np.float32)}
-    return Policy({"hidden_0": layer}, np.zeros(size, np.float32), np.ones(size, np.float32), "swish", 10.0)
-
-
 def subject(seed=0):
-    return make_subject(ARM, SettleConfig(), CONFIG, HELD_OUT, SETTINGS.num_targets, seed)
+    return make_subject(ARM, EngineConfig(), CONFIG, HELD_OUT, SETTINGS.num_targets, seed)
 
 
 @pytest.fixture(scope="module")
@@ -91,9 +78,9 @@ def finished(tmp_path_factory):
     for name, columns in (("held_out", HELD_OUT), ("bank", BANK)):
         artifacts.write_arrays(folder / "ik" / f"{name}.npz", columns)
     (folder / "policy").mkdir()
-    save_policy(folder / "policy" / "policy", nothing_doing())
+    save_policy(folder / "policy" / "policy", idle_policy(ARM, CONFIG.environment))
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    config = residual.Config(robot, SettleConfig(), CONFIG, SETTINGS, seed=0)
+    config = residual.Config(robot, EngineConfig(), CONFIG, SETTINGS, seed=0)
     residual.run(config, {"ik": folder / "ik", "policy": folder / "policy"}, folder / "residual")
     return folder / "residual"
 

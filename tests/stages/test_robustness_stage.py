@@ -3,18 +3,17 @@
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from idle import idle_policy
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
-from qjrl.control.bases import bank_of, controller_name, environment_of
-from qjrl.control.environment import ResidualEnvironment
+from qjrl.control.bases import controller_name
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.studies.robustness import UNDISTURBED, RobustnessConfig
-from qjrl.learning.ppo.environment import ACTOR_KEY
-from qjrl.learning.ppo.policy import Policy, save_policy
+from qjrl.learning.ppo.policy import save_policy
 from qjrl.robot import cable_lengths, forward_kinematics
-from qjrl.simulation.minimal_stepping import MinimalStepper
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.stages import robustness as stage
 
@@ -37,23 +36,13 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     (tmp_path / "ik").mkdir()
     held_out = {"target": targets, "target_set": np.repeat([0, 1], COUNT // 2), "learned_lengths": lengths}
     artifacts.write_arrays(tmp_path / "ik" / "held_out.npz", held_out)
-    of_base = environment_of(POLICY.environment, POLICY.base)
-    environment = ResidualEnvironment(
-        ARM, of_base, bank_of(held_out, "learned", np.arange(COUNT)), MinimalStepper(ARM, COUNT), 0
-    )
-    size, actions = environment.observation_sizes[ACTOR_KEY], environment.action_size
-    idle = {
-        "hidden_0": {"kernel": np.zeros((size, 2 * actions), np.float32), "bias": np.zeros(2 * actions, np.float32)}
-    }
-    ones = np.ones(size, np.float32)
     (tmp_path / "policy").mkdir()
-    policy = Policy(idle, 0 * ones, ones, activation="tanh", observation_clip=10.0)
-    save_policy(tmp_path / "policy" / "policy", policy)
+    save_policy(tmp_path / "policy" / "policy", idle_policy(ARM, POLICY.environment))
     out = tmp_path / "out"
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    settings = RobustnessConfig(num_targets=COUNT // 2, bases=("learned",), engine="minimal")
+    settings = RobustnessConfig(num_targets=COUNT // 2, bases=("learned",), engine="training")
     inputs = {"ik": tmp_path / "ik", "policy": tmp_path / "policy"}
-    stage.run(stage.Config(robot, SettleConfig(), POLICY, settings, 0), inputs, out)
+    stage.run(stage.Config(robot, SettleConfig(), EngineConfig(), POLICY, settings, 0), inputs, out)
     metrics = artifacts.load(out / "metrics.json")
     assert metrics["exceptions"] == [] and len(metrics["disturbances"]) == 9
     columns = artifacts.load(out / "outcomes.npz")

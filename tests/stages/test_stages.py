@@ -143,7 +143,7 @@ def test_answers_are_settled_and_both_errors_are_reported(finished):
 def test_the_policys_metrics_say_what_was_trained(finished):
     metrics = artifacts.load(finished / "policy" / "metrics.json")
     assert metrics["env_steps"] == 64 and metrics["invalid_steps"] == 0
-    assert metrics["bare_steps_per_second"] > 0 and set(metrics["num_left_out"]) == set(TARGET_SETS)
+    assert metrics["physics_steps_per_second"] > 0 and set(metrics["num_left_out"]) == set(TARGET_SETS)
 
 
 def test_every_controller_is_compared_on_both_sets(finished):

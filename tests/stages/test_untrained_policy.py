@@ -9,10 +9,11 @@ import pytest
 from qjrl import artifacts
 from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.config import conf_folder, read_yaml
-from qjrl.control.policy_training import BARE_RATES, PolicyConfig
+from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.simulation import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 from qjrl.stages import compare, policy
 
 ROBOT = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
@@ -21,8 +22,8 @@ MEDIANS = {"uniform_median_mm": 20.0, "near_home_median_mm": 30.0}
 
 def of_stage(stage: Any, starts_at_zero: bool) -> Any:
     config = PolicyConfig(ppo=PPOConfig(starts_at_zero=starts_at_zero))
-    parts = {"robot": ROBOT, "simulation": SettleConfig(), "policy": config, "seed": 0}
-    return stage.Config(**parts, **({"name": "run"} if stage is compare else {}))
+    physics = {"simulation": SettleConfig(), "name": "run"} if stage is compare else {"engine": EngineConfig()}
+    return stage.Config(robot=ROBOT, policy=config, seed=0, **physics)
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def trained(tmp_path, monkeypatch, caplog):
         for steps, median, more in ((0, 25.0, {}), (640, 40.0, {"steps_per_second": 9.0})):
             judged = {f"evaluation/{name}": value for name, value in (MEDIANS | {"median_mm": median}).items()}
             artifacts.append_json_line(out / "progress.jsonl", {"iteration": 0, "env_steps": steps, **judged, **more})
-            artifacts.append_json_line(out / BARE_RATES, {"env_steps": steps, "bare_steps_per_second": 10.0})
+            artifacts.append_json_line(out / PHYSICS_RATES, {"env_steps": steps, "physics_steps_per_second": 10.0})
         return Trained()
 
     def run(starts_at_zero: bool) -> tuple[dict[str, Any], str]:

@@ -12,9 +12,9 @@ _Change = Callable[[PolicyConfig], PolicyConfig]
 
 
 def ablations(config: PolicyConfig, share: float) -> dict[str, PolicyConfig]:
-    """Name -> configuration; "as it is" first. All have `share` of the rounds of imitation and of the steps of PPO."""
-    imitation = dataclasses.replace(config.ppo.imitation, rounds=round(share * config.ppo.imitation.rounds))
-    shortened = _with_ppo(config, num_steps=max(1, round(share * config.ppo.num_steps)), imitation=imitation)
+    """Name -> configuration; "as it is" first. All have `share` of the rounds of DAgger and of the steps of PPO."""
+    dagger = dataclasses.replace(config.ppo.dagger, rounds=round(share * config.ppo.dagger.rounds))
+    shortened = _with_ppo(config, num_steps=max(1, round(share * config.ppo.num_steps)), dagger=dagger)
     return {name: change(shortened) for name, change in _CHANGES.items()}
 
 
@@ -26,15 +26,15 @@ def _with_environment(config: PolicyConfig, **changes: Any) -> PolicyConfig:
     return dataclasses.replace(config, environment=dataclasses.replace(config.environment, **changes))
 
 
-def _without_imitation(config: PolicyConfig) -> PolicyConfig:
+def _without_dagger(config: PolicyConfig) -> PolicyConfig:
     """With the customary rates of learning: those of a policy that is refined alone are too small for one that begins."""
-    usual, imitation = PPOConfig(), dataclasses.replace(config.ppo.imitation, rounds=0)
+    usual, dagger = PPOConfig(), dataclasses.replace(config.ppo.dagger, rounds=0)
     rates = ("learning_rate", "min_learning_rate", "max_learning_rate", "target_kl")
-    return _with_ppo(config, imitation=imitation, **{name: getattr(usual, name) for name in rates})
+    return _with_ppo(config, dagger=dagger, **{name: getattr(usual, name) for name in rates})
 
 
 def _from_noise(config: PolicyConfig) -> PolicyConfig:
-    return _with_ppo(_without_imitation(config), starts_at_zero=False)
+    return _with_ppo(_without_dagger(config), starts_at_zero=False)
 
 
 def _without_rate(config: PolicyConfig) -> PolicyConfig:
@@ -66,8 +66,8 @@ def _without_randomisation(config: PolicyConfig) -> PolicyConfig:
 
 _CHANGES: dict[str, _Change] = {
     "as it is": lambda config: config,
-    "no imitation": _without_imitation,
-    "no imitation, random start": _from_noise,
+    "no DAgger": _without_dagger,
+    "no DAgger, random start": _from_noise,
     "20 mm a step": _without_rate,
     "no sensor memory": lambda config: _with_environment(config, remembers=False),
     "no prior": _without_prior,

@@ -26,9 +26,9 @@ from qjrl.measured import read_metrics
 from qjrl.records import NUMBER
 from qjrl.robot import bends_from_cables
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.rested import require_valid
-from qjrl.simulation.settle_problem import SettleConfig
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -61,7 +61,7 @@ class Subject:
     """The arm, its training and the held-out targets that all parts of the study use."""
 
     robot: Robot
-    simulation: SettleConfig
+    engine: EngineConfig
     config: PolicyConfig
     targets: Arrays
     """Columns of `held_out.npz`, of the chosen rows."""
@@ -70,14 +70,14 @@ class Subject:
     def judge(self, environment: EnvironmentConfig, base: Base, act: Act | None = None) -> Judgement:
         """One controller on the targets, in the engine of the training."""
         count = len(self.targets["target"])
-        stepper = make_stepper(self.robot, count, self.simulation, self.config.engine == "minimal")
+        stepper = make_stepper(self.robot, count, self.engine)
         bank = bank_of(self.targets, base, np.arange(count))
         seed = seed_for(self.seed, "arms of the residual study")
         return Judge(self.robot, environment_of(environment, base), bank, stepper, seed).judge(act)
 
 
 def make_subject(
-    robot: Robot, simulation: SettleConfig, config: PolicyConfig, held_out: Arrays, num_targets: int, seed: int
+    robot: Robot, engine: EngineConfig, config: PolicyConfig, held_out: Arrays, num_targets: int, seed: int
 ) -> Subject:
     """The first targets of each set at which the base and the rival arrive in time.
 
@@ -86,7 +86,7 @@ def make_subject(
     """
     columns = {command_column(base) for base in (config.base, RIVAL)}
     targets = first_in_time(robot, config.environment, held_out, columns, num_targets, "residual.num_targets")
-    return Subject(robot, simulation, config, targets, seed)
+    return Subject(robot, engine, config, targets, seed)
 
 
 def over_time(subject: Subject, policy: Policy) -> dict[str, np.ndarray]:
@@ -142,11 +142,13 @@ def ablate(
     for name in settings.ablations:
         config, path = variants[name], directory / name.replace(", ", "-").replace(" ", "_")
         done = path / "judged.json"
-        identity = artifacts.hash_of([identity_of(config), settings.num_targets, subject.seed])
+        identity = artifacts.hash_of(
+            [identity_of(config), identity_of(subject.engine), settings.num_targets, subject.seed]
+        )
         if done.exists() and (known := read_metrics(done, _JUDGED))["identity"] == identity:
             found[name] = known["errors"]
         else:
-            trained = train_policy(subject.robot, subject.simulation, config, bank, subject.seed, path)
+            trained = train_policy(subject.robot, subject.engine, config, bank, subject.seed, path)
             controllers = {"base": None, "policy": acting(trained.policy)}
             found[name] = {
                 controller: errors_of(

@@ -15,6 +15,7 @@ from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import Interval, RandomisationConfig
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot.verbs import Robot
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
 
 UNDISTURBED = "as trained"
@@ -28,8 +29,8 @@ class RobustnessConfig:
     """Held-out targets of each set."""
     bases: tuple[Base, ...] = ("learned", "integral", "dither_integral")
     """Controllers beside the policy and its own base."""
-    engine: Literal["simulation", "minimal"] = "simulation"
-    """What they are judged in: the engine of group `simulation`, or the arm's own equations."""
+    engine: Literal["simulation", "training"] = "simulation"
+    """What they are judged in: that of group `simulation`, or that of group `engine`, in which policies train."""
     gain_change: Annotated[float, Range(above=0.0, below=1.0)] = 0.3
     """All gains drawn are larger, and in another row smaller, by this share."""
     friction_factor: Annotated[float, Range(above=0.0)] = 3.0
@@ -66,7 +67,7 @@ def disturbances(config: RobustnessConfig, environment: EnvironmentConfig) -> di
 
 def judge_disturbed(
     robot: Robot,
-    simulation: SettleConfig,
+    physics: SettleConfig | EngineConfig,
     policy_config: PolicyConfig,
     config: RobustnessConfig,
     policy: Policy,
@@ -89,14 +90,13 @@ def judge_disturbed(
     return {
         name: compare_controllers(
             robot,
-            simulation,
+            physics,
             dataclasses.replace(policy_config, environment=environment),
             policy,
             targets,
             seed,
             advance,
             bases,
-            config.engine == "minimal",
         )
         for name, environment in disturbances(config, policy_config.environment).items()
     }

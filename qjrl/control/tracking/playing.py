@@ -130,7 +130,7 @@ def play(
         if advance and number % substeps == 0:
             advance(1)
     stacked = {name: np.stack([record[name] for record in records], axis=1) for name in records[0]}
-    is_finite = stepper.read().is_finite
+    is_finite = stepper.read().is_sound
     return [
         Played(
             times,

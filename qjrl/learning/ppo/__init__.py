@@ -1,1 +1,1 @@
-"""PPO for any vector environment: asymmetric actor and critic, resumable, stepped from the host."""
+"""PPO for any environment of pure functions: asymmetric actor and critic, resumable; an iteration is compiled programs."""

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Annotated, Literal
 
 from qjrl.config import Range
-from qjrl.learning.ppo.imitation import ImitationConfig
+from qjrl.learning.ppo.dagger import DaggerConfig
 
 Width = Annotated[int, Range(1, 8192)]
 
@@ -14,9 +14,9 @@ class PPOConfig:
     """Defaults are the customary ones of PPO (Schulman et al. 2017 and brax) unless a field says otherwise."""
 
     num_steps: Annotated[int, Range(1)] = 400_000
-    """Environment steps in all, over all copies; rounded up to whole iterations."""
+    """Environment steps in all, over all envs; rounded up to whole iterations."""
     unroll_length: Annotated[int, Range(1, 10_000)] = 20
-    """Steps of every copy between two updates."""
+    """Steps of every env between two updates."""
     num_epochs: Annotated[int, Range(1, 100)] = 4
     """Passes over the collected steps in one update."""
     num_minibatches: Annotated[int, Range(1, 1024)] = 8
@@ -27,10 +27,10 @@ class PPOConfig:
     """Between one-step (0) and Monte-Carlo (1) advantages."""
     reward_scaling: Annotated[float, Range(above=0)] = 1.0
     """Factor on rewards inside the learner; the log shows unscaled rewards."""
-    imitation: ImitationConfig = ImitationConfig()
+    dagger: DaggerConfig = DaggerConfig()
     """What comes before PPO: the first iterations."""
     critic_warmup: Annotated[int, Range(0)] = 0
-    """Iterations after an imitation in which the critic alone learns, so that it knows the actor before it judges it."""
+    """Iterations after DAgger in which the critic alone learns, so that it knows the actor before it judges it."""
     clipping: Annotated[float, Range(above=0, high=1)] = 0.2
     """Allowed relative change of an action's probability in one update."""
     entropy_cost: Annotated[float, Range(0)] = 1e-3

@@ -1,81 +1,61 @@
-"""What PPO asks of an environment: many copies stepped together, plain arrays in and out."""
+"""What PPO asks of an environment: many envs stepped together, as pure functions of one pytree."""
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import jax
-import numpy as np
+from flax import struct
 
 Observation = Mapping[str, Any]
-"""`state` (num_envs, n) for the actor and `privileged_state` (num_envs, m) for the critic, float32, numpy or jax.
-
-An environment that knows what would have been best, since it knows more than the actor may, ends `privileged_state` with
-that action (see `advice_of`)."""
+"""`state` (envs, n) for the actor, `privileged_state` (envs, m) for the critic and, of an environment that knows what would
+have been best, `expert_action` (envs, action size) in [-1, 1]; float32."""
 
 ACTOR_KEY = "state"
 CRITIC_KEY = "privileged_state"
+EXPERT_KEY = "expert_action"
 
 
-def advice_of(observation: Observation, action_size: int) -> Any:
-    """(..., action_size) the advised action in [-1, 1], with which `privileged_state` ends if the environment gives advice."""
-    return observation[CRITIC_KEY][..., -action_size:]
+@struct.dataclass
+class State:
+    """All envs after a reset or a step. An env whose episode ended has begun anew; terminated goes before truncated."""
 
-
-@dataclasses.dataclass(frozen=True)
-class Transition:
-    """One step of all copies. A copy that has terminated or was truncated is reset at once; terminated goes first."""
-
+    inner: Any
+    """The environment's own."""
     observation: Observation
-    """After the automatic reset of the copies whose episode ended: what the next action answers to."""
-    reward: Any
-    """(num_envs,)."""
-    terminated: Any
-    """(num_envs,) bool: the episode ended for good, nothing comes after."""
-    truncated: Any
-    """(num_envs,) bool: the time limit; the value of `final_observation` stands for what would have come."""
+    """What the next action answers to."""
     final_observation: Observation
-    """Before the automatic reset; equal to `observation` where no episode ended."""
+    """Before the envs whose episode ended began anew; equal to `observation` for the others."""
+    reward: Any
+    """(envs,) float32."""
+    terminated: Any
+    """(envs,) bool: the episode ended for good, nothing comes after."""
+    truncated: Any
+    """(envs,) bool: the time limit; the value of `final_observation` stands for what would have come."""
     valid: Any
-    """(num_envs,) bool: False where the simulation diverged; such a step enters no update."""
-    metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Name -> (num_envs,), for the log only; the same names at every step."""
-    diverged: Mapping[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    """What is known of the copies that are not valid, one row each; for those who look for the cause."""
+    """(envs,) bool: False where the simulation diverged; such a step enters no update, and the env begins anew."""
+    metrics: Mapping[str, Any]
+    """Name -> (envs,), for the log only; the same names at every step."""
 
 
-@runtime_checkable
-class VectorEnv(Protocol):
-    """`num_envs` copies of an environment that reset themselves.
+class Env(Protocol):
+    """An environment. It is a pytree, an argument of compiled programs, whose envs know nothing of each other."""
 
-    Arrays handed out must not be written to afterwards: a rollout keeps them until it copies them.
-    """
-
-    num_envs: int
-    action_size: int
-    observation_sizes: dict[str, int]
-    """{"state": n, "privileged_state": m}."""
-    gives_advice: bool
-    """Whether `privileged_state` ends with an advised action."""
-
-    def reset(self) -> Observation:
-        """Starts every copy afresh."""
+    @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
         ...
 
-    def step(self, actions: np.ndarray) -> Transition:
-        """Steps every copy; actions: (num_envs, action_size) float32 in [-1, 1]."""
+    def reset(self, keys: jax.Array) -> State:
+        """Begins as many envs as there are keys."""
         ...
 
-    def get_state(self) -> dict[str, np.ndarray]:
-        """Everything a bitwise resume needs, random state included: a flat dict of numeric numpy arrays, each with a row for
-        each copy where several processes train (`processes.gathered`)."""
-        ...
-
-    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
-        """Goes back to what `get_state` returned."""
+    def step(self, state: State, actions: jax.Array) -> State:
+        """Steps every env; actions: (envs, action_size) float32 in [-1, 1]."""
         ...
 
 
-def num_copies(environment: VectorEnv) -> int:
-    """Copies of the environment in all processes."""
-    return environment.num_envs * jax.process_count()
+def observation_sizes(env: Env) -> dict[str, int]:
+    """Name of an observation -> its size."""
+    keys = jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 1))
+    observation = jax.eval_shape(env.reset, keys).observation
+    return {name: rows.shape[1] for name, rows in observation.items()}

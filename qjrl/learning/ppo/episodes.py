@@ -1,67 +1,68 @@
 """Returns and lengths of the episodes, and means of what the environment measures: for the log alone."""
 
 import math
-from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
 
-from qjrl.learning.ppo.environment import Transition
+from qjrl.learning.ppo.environment import State
 
 
+@struct.dataclass
 class EpisodeLog:
-    """Follows the episodes of all copies. An episode with an invalid step is not counted."""
+    """Follows the episodes of all envs, a row each. An episode with an invalid step is not counted."""
 
-    def __init__(self, num_envs: int) -> None:
-        self.returns = np.zeros(num_envs, np.float32)
-        self.lengths = np.zeros(num_envs, np.int32)
-        self._forget()
+    returns: Any
+    """(envs,) of the episodes under way."""
+    lengths: Any
+    """(envs,) int32."""
+    sums: Mapping[str, Any]
+    """Name -> (envs,): what is averaged since `cleared`, and how many of it there are, as `NAME/count`."""
 
-    def add(self, transition: Transition) -> None:
-        """Takes in one step of all copies."""
-        valid = np.asarray(transition.valid, bool) & np.isfinite(np.asarray(transition.reward))
-        ended = np.asarray(transition.terminated, bool) | np.asarray(transition.truncated, bool)
-        self.returns += np.where(valid, transition.reward, 0)
-        self.lengths += 1
-        self._finished_returns.extend(self.returns[ended & valid].tolist())
-        self._finished_lengths.extend(self.lengths[ended & valid].tolist())
-        self.returns[ended | ~valid] = 0
-        self.lengths[ended | ~valid] = 0
-        for name, values in transition.metrics.items():
-            values = np.asarray(values)
-            self._add_mean(f"env/{name}", values[valid])
-            self._add_mean(f"env_end/{name}", values[ended & valid])
+    def after(self, state: State) -> "EpisodeLog":
+        """One step later."""
+        valid = state.valid & jnp.isfinite(state.reward)
+        ended = state.terminated | state.truncated
+        returns, lengths = self.returns + jnp.where(valid, state.reward, 0.0), self.lengths + 1
+        finished = ended & valid
+        means = {"return": (returns, finished), "episode_length": (lengths, finished)}
+        for name, values in state.metrics.items():
+            means |= {f"env/{name}": (values, valid), f"env_end/{name}": (values, finished)}
+        sums = {}
+        for name, (values, counts) in means.items():
+            sums[name] = self.sums[name] + jnp.where(counts, values, 0.0)
+            sums[f"{name}/count"] = self.sums[f"{name}/count"] + counts
+        is_over = ended | ~valid
+        return EpisodeLog(jnp.where(is_over, 0.0, returns), jnp.where(is_over, 0, lengths), sums)
 
-    def summary(self) -> dict[str, float | None]:
-        """Means since the last call; None where there is nothing finite to average.
+    def cleared(self) -> "EpisodeLog":
+        """With the same episodes under way and nothing to average yet."""
+        return EpisodeLog(self.returns, self.lengths, jax.tree.map(jnp.zeros_like, dict(self.sums)))
 
-        `env/NAME` is the mean over all valid steps, `env_end/NAME` over the last steps of episodes.
-        """
-        means = {name: total / count if count else None for name, (total, count) in self._sums.items()}
-        means = {name: mean if mean is None or math.isfinite(mean) else None for name, mean in means.items()}
-        returns, lengths = self._finished_returns, self._finished_lengths
-        episodes = {
-            "episodes": len(returns),
-            "return": float(np.mean(returns)) if returns else None,
-            "episode_length": float(np.mean(lengths)) if lengths else None,
-        }
-        self._forget()
-        return episodes | means
+    def totals(self) -> dict[str, jax.Array]:
+        """The sums over all envs."""
+        return {name: jnp.sum(values) for name, values in self.sums.items()}
 
-    def get_state(self) -> dict[str, np.ndarray]:
-        """The episodes under way; the sums since the last `summary` are not part of it."""
-        return {"returns": self.returns.copy(), "lengths": self.lengths.copy()}
 
-    def set_state(self, state: Mapping[str, np.ndarray]) -> None:
-        """Goes back to what `get_state` returned."""
-        self.returns, self.lengths = state["returns"].copy(), state["lengths"].copy()
+def empty_log(count: int, metrics: Iterable[str]) -> EpisodeLog:
+    """Of envs that begin; `metrics` are the names of what the environment measures."""
+    names = ["return", "episode_length", *(f"{part}/{name}" for name in metrics for part in ("env", "env_end"))]
+    sums = {name: jnp.zeros(count, jnp.float32) for name in names}
+    counts = {f"{name}/count": jnp.zeros(count, jnp.int32) for name in names}
+    return EpisodeLog(jnp.zeros(count, jnp.float32), jnp.zeros(count, jnp.int32), sums | counts)
 
-    def _add_mean(self, name: str, values: np.ndarray) -> None:
-        sums = self._sums[name]
-        sums[0] += float(values.sum())
-        sums[1] += len(values)
 
-    def _forget(self) -> None:
-        self._finished_returns: list[float] = []
-        self._finished_lengths: list[int] = []
-        self._sums: dict[str, list[float]] = defaultdict(lambda: [0.0, 0])
+def summary(totals: Mapping[str, Any]) -> dict[str, float | None]:
+    """Means of `EpisodeLog.totals`; None where there is nothing finite to average.
+
+    `env/NAME` is the mean over all valid steps, `env_end/NAME` over the last steps of episodes.
+    """
+    plain = {name: float(np.asarray(value)) for name, value in totals.items()}
+    counts = {name: plain[f"{name}/count"] for name in plain if not name.endswith("/count")}
+    means = {name: plain[name] / count if count else math.nan for name, count in counts.items()}
+    finite = {name: mean if math.isfinite(mean) else None for name, mean in means.items()}
+    return {"episodes": int(plain["return/count"])} | finite

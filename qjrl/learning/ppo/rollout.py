@@ -1,20 +1,16 @@
-"""Collecting a rollout: the host steps the environment, a compiled policy acts."""
+"""Collecting a rollout: a scan of acting and stepping, in one program."""
 
-import dataclasses
-import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
 
-from qjrl.learning import processes
-from qjrl.learning.divergence import Evidence
 from qjrl.learning.ppo.brax_parts import PPONetworks
-from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Observation, Transition, VectorEnv
+from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, Env, Observation, State
 from qjrl.learning.ppo.episodes import EpisodeLog
+from qjrl.learning.some_rows import for_some_rows
 
 
 @struct.dataclass
@@ -22,7 +18,7 @@ class Action:
     """What the policy decided, (envs, ...) float32."""
 
     action: Any
-    """In [-1, 1]."""
+    """What the env is given, in [-1, 1]."""
     raw_action: Any
     """Before the tanh."""
     logits: Any
@@ -35,7 +31,7 @@ class Rollout:
     """A block of experience, (steps, envs, ...). Rows that are not `valid` are finite too, and count nowhere."""
 
     observation: Any
-    """{"state", "privileged_state"}."""
+    action: Any
     raw_action: Any
     logits: Any
     log_probability: Any
@@ -43,136 +39,91 @@ class Rollout:
     terminated: Any
     truncated: Any
     valid: Any
-    last_observation: Any
-    """(envs, m): the critic's, after the last step."""
+    final_value: Any
+    """The critic's value of the final observation where the time limit cut an episode off, else 0."""
 
 
-@dataclasses.dataclass(frozen=True)
+@struct.dataclass
 class Collected:
-    """A rollout, and what stays on the host."""
+    """A rollout, and where it ended."""
 
     rollout: Rollout
-    observation: Observation
+    state: State
     """To go on from."""
-    final_rows: np.ndarray
-    """(k, m): the critic's observations at which an episode was cut off by the time limit."""
-    final_places: tuple[np.ndarray, np.ndarray]
-    """Step and environment of each of them."""
-    environment_seconds: float
-    diverged: dict[str, np.ndarray]
-    """`Transition.diverged` of the first copies that diverged, and the step of the rollout; empty if nothing is known."""
+    last_observation: Any
+    """(envs, m): the critic's, after the last step, finite."""
+    episodes: EpisodeLog
 
 
-def make_act(networks: PPONetworks) -> Callable[[Any, Any, Any, jax.Array, Any], Action]:
-    """The compiled exploring policy: (parameters, normaliser, actor observation, key, step) -> Action."""
-    distribution: Any = networks.parametric_action_distribution
-
-    def act(parameters: Any, normaliser: Any, observation: Any, key: jax.Array, step: Any) -> Action:
-        logits = networks.policy_network.apply(normaliser, parameters, {ACTOR_KEY: observation})
-        normal = distribution.create_dist(logits)
-        # By hand, because brax's own sampling is float64 under x64; by the row among those of all processes.
-        shape = (normal.loc.shape[0] * jax.process_count(), *normal.loc.shape[1:])
-        noise = jax.random.normal(jax.random.fold_in(key, step), shape, jnp.float32)[processes.own_rows(shape[0])]
-        raw_action = normal.loc + normal.scale * noise
-        log_probability = distribution.log_prob(logits, raw_action)
-        return Action(distribution.postprocess(raw_action), raw_action, logits, log_probability)
-
-    return jax.jit(act)
+Act = Callable[[Any, Any], Action]
+"""Actor observations (envs, n) and the step's input -> actions."""
+Value = Callable[[Any], jax.Array]
+"""Critic observations (k, m) -> values (k,)."""
 
 
-def collect(
-    environment: VectorEnv,
-    act: Callable[[Any, int], Action],
-    observation: Observation,
-    num_steps: int,
-    episodes: EpisodeLog,
-) -> Collected:
-    """Steps the environment `num_steps` times from `observation`.
+def collect(env: Env, act: Act, value: Value, state: State, episodes: EpisodeLog, inputs: Any) -> Collected:
+    """Steps `env` from `state` as often as `inputs` has rows.
 
     Args:
-        act: actor observation (envs, n) and number of the step -> Action.
-        episodes: is told of every transition.
+        act: gets a row of `inputs` at every step, its exploration noise.
+        value: of the final observations of episodes that the time limit cuts off.
     """
-    rollout = _empty(environment, num_steps)
-    finite = np.ones((num_steps + 1, environment.num_envs), bool)
-    final_rows, evidence, seconds = [], Evidence(), 0.0
-    for step in range(num_steps):
-        observation, finite[step] = finite_rows(observation)
-        action = act(observation[ACTOR_KEY], step)
-        command = np.asarray(action.action)  # waits for the device
-        _write_decision(rollout, step, observation, action)
-        start = time.perf_counter()
-        transition = environment.step(command)
-        seconds += time.perf_counter() - start
-        _write_outcome(rollout, step, transition)
-        final_rows.append(_cut_off(rollout, step, transition))
-        evidence.add(transition.diverged, step)
-        episodes.add(transition)
-        observation = transition.observation
-    observation, finite[num_steps] = finite_rows(observation)
-    rollout.last_observation[:] = observation[CRITIC_KEY]
-    rollout.valid[:] &= finite[:-1] & (finite[1:] | rollout.terminated | rollout.truncated)
-    rollout.reward[~rollout.valid] = 0
-    places = np.nonzero(rollout.truncated)
-    rows = np.concatenate(final_rows)
-    return Collected(rollout, observation, rows, (places[0], places[1]), seconds, evidence.arrays())
+
+    def step(carry: tuple, row: Any) -> tuple[tuple, Rollout]:
+        state, observation, is_finite, episodes = carry
+        action = act(observation[ACTOR_KEY], row)
+        following = env.step(state, action.action)
+        after, is_finite_after = finite_rows(following.observation)
+        ended = following.terminated | following.truncated
+        truncated = following.truncated & ~following.terminated
+        final, is_finite_end = finite_rows({CRITIC_KEY: following.final_observation[CRITIC_KEY]})
+        valid = following.valid & jnp.isfinite(following.reward) & is_finite
+        valid &= (is_finite_after | ended) & (is_finite_end | ~truncated)
+        zeros = jnp.zeros_like(following.reward)
+        outcome = Rollout(
+            observation=observation,
+            action=action.action,
+            raw_action=action.raw_action,
+            logits=action.logits,
+            log_probability=action.log_probability,
+            reward=jnp.where(valid, following.reward, 0.0),
+            terminated=following.terminated,
+            truncated=truncated,
+            valid=valid,
+            final_value=for_some_rows(truncated, value, final[CRITIC_KEY], zeros),
+        )
+        return (following, after, is_finite_after, episodes.after(following)), outcome
+
+    first, is_finite = finite_rows(state.observation)
+    (state, last, _, episodes), rollout = jax.lax.scan(step, (state, first, is_finite, episodes), inputs)
+    return Collected(rollout, state, last[CRITIC_KEY], episodes)
 
 
-def finite_rows(observation: Observation) -> tuple[Observation, np.ndarray]:
+def acting(networks: PPONetworks, parameters: Any, normaliser: Any, is_deterministic: jax.Array) -> Act:
+    """The policy; a step's input is noise (envs, action size).
+
+    PPO's exploration is standard normal noise before the tanh. Where the policy is deterministic the noise is added to its
+    action: DAgger's.
+    """
+    distribution: Any = networks.parametric_action_distribution
+
+    def act(observation: Any, noise: Any) -> Action:
+        logits = networks.policy_network.apply(normaliser, parameters, {ACTOR_KEY: observation})
+        normal = distribution.create_dist(logits)
+        raw_action = normal.loc + normal.scale * noise
+        around = jnp.clip(distribution.postprocess(normal.loc) + noise, -1.0, 1.0)
+        action = jnp.where(is_deterministic, around, distribution.postprocess(raw_action))
+        return Action(action, raw_action, logits, distribution.log_prob(logits, raw_action))
+
+    return act
+
+
+def finite_rows(observation: Observation) -> tuple[dict[str, Any], jax.Array]:
     """The observation with zeros in the rows that are not finite, and which rows are, (envs,) bool.
 
     The zeros only keep the arithmetic alive: these rows are counted, and weigh nothing in any update.
     """
-    with np.errstate(invalid="ignore", over="ignore"):
-        # A sum is finite if its terms are, unless it overflows, which is as bad.
-        sums = [np.asarray(rows).sum(axis=1) for rows in observation.values()]
-    is_finite = np.logical_and.reduce([np.isfinite(total) for total in sums])
-    if is_finite.all():
-        return observation, is_finite
-    return {name: np.where(is_finite[:, None], rows, np.float32(0)) for name, rows in observation.items()}, is_finite
-
-
-def _empty(environment: VectorEnv, num_steps: int) -> Rollout:
-    """Room for a rollout: copying into it step by step leaves the environment free to reuse its arrays."""
-    num_envs, sizes, actions = environment.num_envs, environment.observation_sizes, environment.action_size
-
-    def room(*shape: int, dtype: Any = np.float32) -> np.ndarray:
-        return np.empty((num_steps, num_envs, *shape), dtype)
-
-    return Rollout(
-        observation={name: room(size) for name, size in sizes.items()},
-        raw_action=room(actions),
-        logits=room(2 * actions),
-        log_probability=room(),
-        reward=room(),
-        terminated=room(dtype=bool),
-        truncated=room(dtype=bool),
-        valid=room(dtype=bool),
-        last_observation=np.empty((num_envs, sizes[CRITIC_KEY]), np.float32),
-    )
-
-
-def _write_decision(rollout: Rollout, step: int, observation: Observation, action: Action) -> None:
-    for name, rows in rollout.observation.items():
-        rows[step] = observation[name]
-    rollout.raw_action[step] = action.raw_action
-    rollout.logits[step] = action.logits
-    rollout.log_probability[step] = action.log_probability
-
-
-def _write_outcome(rollout: Rollout, step: int, transition: Transition) -> None:
-    rollout.reward[step] = transition.reward
-    rollout.terminated[step] = transition.terminated
-    rollout.truncated[step] = np.asarray(transition.truncated) & ~rollout.terminated[step]
-    rollout.valid[step] = np.asarray(transition.valid) & np.isfinite(rollout.reward[step])
-
-
-def _cut_off(rollout: Rollout, step: int, transition: Transition) -> np.ndarray:
-    """(k, m): the critic's final observations of the episodes that this step truncated."""
-    truncated = rollout.truncated[step]
-    if not truncated.any():
-        return np.empty((0, rollout.last_observation.shape[1]), np.float32)
-    rows = np.asarray(transition.final_observation[CRITIC_KEY], np.float32)[truncated]
-    clean, is_finite = finite_rows({CRITIC_KEY: rows})
-    rollout.valid[step, truncated] &= is_finite
-    return clean[CRITIC_KEY]
+    # A sum is finite if its terms are, unless it overflows, which is as bad.
+    sums = [jnp.sum(rows, axis=1) for rows in observation.values()]
+    is_finite = jnp.isfinite(jnp.stack(sums)).all(axis=0)
+    return {name: jnp.where(is_finite[:, None], rows, 0.0) for name, rows in observation.items()}, is_finite

@@ -1,24 +1,33 @@
-"""The PPO loop: iterate, evaluate, write down; it goes on where it stopped."""
+"""The PPO loop: iterate, evaluate, write down; it goes on where it stopped. The host sees iterations."""
 
-from collections.abc import Callable, Iterable
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 from qjrl import artifacts, progress
 from qjrl.config import as_mapping
-from qjrl.learning.ppo.books import Evaluate, open_books
+from qjrl.learning.ppo import mesh as meshes
+from qjrl.learning.ppo.checkpointer import Checkpointer, Evaluate, open_checkpointer
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.environment import VectorEnv, num_copies
-from qjrl.learning.ppo.episodes import EpisodeLog
-from qjrl.learning.ppo.iteration import Record, compile_functions, run_imitation, run_iteration
-from qjrl.learning.ppo.policy import Policy
-from qjrl.learning.ppo.training_state import Session, initial_state
+from qjrl.learning.ppo.dagger import deviation, fit_round
+from qjrl.learning.ppo.environment import ACTOR_KEY, EXPERT_KEY, Env, observation_sizes
+from qjrl.learning.ppo.iteration import Plan, make_plan
+from qjrl.learning.ppo.policy import Policy, moderated
+from qjrl.learning.ppo.programs import Programs, make_programs
+from qjrl.learning.ppo.records import Record, check_losses, check_validity, note_of, record_of, validity_of
+from qjrl.learning.ppo.trainer_state import TrainerState, policy_of
 
 
 def train(
-    environment: VectorEnv,
+    env: Env,
     config: PPOConfig,
+    num_envs: int,
     seed: int,
     directory: Path,
     evaluate: Evaluate | None = None,
@@ -27,16 +36,15 @@ def train(
 ) -> Policy:
     """Trains a policy; an interrupted training in the same directory goes on, bit for bit.
 
-    Several processes of JAX's distributed runtime, each with as many copies of the environment, train one policy: what a
-    process alone with all the copies trains, up to the order of sums. The first keeps the books and gives the others
-    their parts of a checkpoint; another number of processes can go on with a training.
+    The envs are dealt out over all devices; several processes of JAX's distributed runtime train one policy together: what
+    a process alone trains, up to the order of sums. The first alone writes; another number of processes can go on.
 
     Args:
-        environment: reset here, or set back to the state of the latest checkpoint.
+        num_envs: over all processes, a multiple of the devices.
         directory: gets `checkpoints/`, `progress.jsonl`, and the policy kept so far as `policy.npz` and `policy.json`;
-            `diverged.npz`, where too many steps are invalid and the environment knows what the copies were doing.
+            `diverged.npz`, where too many steps are invalid.
         evaluate: metrics of the deterministic policy, asked for before the first iteration and at every checkpoint, in the
-            first process alone; in the records they are called `evaluation/NAME`. It must leave `environment` as it was.
+            first process alone; in the records they are called `evaluation/NAME`.
         minimise: the metric of `evaluate` by which the policy to keep is chosen; None: the latest is kept.
         callbacks: called with every record of `progress.jsonl`.
     Returns:
@@ -45,50 +53,146 @@ def train(
         TrainingDiverged: too many invalid steps, or a loss that is not finite.
         ArtifactError: the directory holds another training.
     """
-    sizes = _sizes(config, environment)
-    with progress.compiling("the policy and its update"):
-        compiled = compile_functions(config, environment)
-    identity = _identity(config, environment, seed)
-    state = initial_state(compiled.initialise, config, environment, seed)
-    session = Session(state, environment.reset(), environment, EpisodeLog(environment.num_envs))
-    with open_books(directory, identity, config, evaluate, minimise, list(callbacks)) as books:
-        session, is_new = books.begin(session)
-        if is_new:
-            books.keep(session, {"iteration": 0, "env_steps": 0})
-        done, already = int(session.state.iteration), int(session.state.env_steps)
-        with progress.track(sum(sizes), "policy", already=already) as advance, books.evidence():
-            for iteration in range(done + 1, len(sizes) + 1):
-                is_imitation = iteration <= config.imitation.rounds
-                if is_imitation:
-                    session, record = run_imitation(session, compiled, config, seed, advance)
-                else:
-                    session, record = run_iteration(session, compiled, config, len(sizes))
-                due = is_imitation or iteration % config.checkpoint_every == 0 or iteration == len(sizes)
-                books.keep(session, record) if due else books.write(record)
-                advance(0 if is_imitation else sizes[iteration - 1], note=_note(record))
-        return books.policy(session)
+    sizes, mesh, is_double = _sizes(config, env, num_envs), meshes.device_mesh(), jax.config.jax_enable_x64
+
+    def evaluated(policy: Policy) -> Mapping[str, float | None]:
+        with jax.enable_x64(is_double):  # as the caller computes
+            return evaluate(policy) if evaluate else {}
+
+    identity = artifacts.hash_of([as_mapping(config), [num_envs, env.action_size, observation_sizes(env)], seed])
+    with jax.enable_x64(False):
+        plan = make_plan(env, config, num_envs, len(sizes), mesh)
+        env = meshes.everywhere(mesh, env)
+        programs = make_programs(plan)
+        trainer = programs.begin(env, np.uint32(seed))
+        with open_checkpointer(
+            directory, identity, config, mesh, evaluated if evaluate else None, minimise, list(callbacks)
+        ) as checkpointer:
+            trainer, is_new = checkpointer.begin(trainer)
+            if is_new:
+                checkpointer.keep(trainer, {"iteration": 0, "env_steps": 0})
+            already = int(trainer.env_steps)
+            with progress.track(sum(sizes), "policy", already=already) as advance, checkpointer.evidence():
+                trainer = _run(plan, programs, env, trainer, sizes, checkpointer, advance)
+            return checkpointer.policy(trainer)
 
 
-def _sizes(config: PPOConfig, environment: VectorEnv) -> list[int]:
-    """Environment steps of every iteration: the rounds of imitation, then those of PPO."""
-    rounds, devices, copies = config.imitation.rounds, jax.local_device_count(), num_copies(environment)
-    if rounds > 0 and not environment.gives_advice:
-        raise ValueError(f"imitation.rounds: got {rounds}, allowed: 0, this environment gives no advice")
-    if environment.num_envs % devices:
-        raise ValueError(f"num_envs: got {environment.num_envs}, allowed: a multiple of the {devices} devices")
-    per_iteration = config.unroll_length * copies
+def _run(
+    plan: Plan,
+    programs: Programs,
+    env: Env,
+    trainer: TrainerState,
+    sizes: list[int],
+    checkpointer: Checkpointer,
+    advance: Callable[..., None],
+) -> TrainerState:
+    config = plan.config
+    for iteration in range(int(trainer.iteration) + 1, len(sizes) + 1):
+        is_dagger = iteration <= config.dagger.rounds
+        if is_dagger:
+            trainer, record = run_dagger(plan, programs, env, trainer, advance)
+        else:
+            trainer, record = run_iteration(plan, programs, env, trainer)
+        due = is_dagger or iteration % config.checkpoint_every == 0 or iteration == len(sizes)
+        checkpointer.keep(trainer, record) if due else checkpointer.write(record)
+        advance(0 if is_dagger else sizes[iteration - 1], note=note_of(record))
+    return trainer
+
+
+def run_iteration(plan: Plan, programs: Programs, env: Env, trainer: TrainerState) -> tuple[TrainerState, Record]:
+    """One iteration of PPO.
+
+    Returns:
+        The state after it, and its record for the log.
+    Raises:
+        TrainingDiverged: too many invalid steps, or a loss that is not finite.
+    """
+    start = time.perf_counter()
+    iterated = programs.run_iteration(env, trainer)
+    record = record_of(meshes.on_host(iterated.metrics))  # waits for the devices
+    seconds = time.perf_counter() - start
+    following, iteration = iterated.trainer, int(iterated.trainer.iteration)
+    check_validity(record, iteration, plan.config, iterated.replay)
+    check_losses(record, iteration)
+    times = {"steps_per_second": round(plan.config.unroll_length * plan.num_envs / seconds, 1)}
+    if (collecting := iterated.collecting_seconds) is not None:
+        times |= {"collecting_seconds": round(collecting, 4), "learning_seconds": round(seconds - collecting, 4)}
+    return following, {"iteration": iteration, "env_steps": int(following.env_steps)} | record | times
+
+
+def run_dagger(
+    plan: Plan, programs: Programs, env: Env, trainer: TrainerState, advance: Callable[..., None]
+) -> tuple[TrainerState, Record]:
+    """One round of DAgger as an iteration, before those of PPO.
+
+    Args:
+        advance: called with the number of environment steps made: a round takes a while.
+    Returns:
+        The state after it, and its record for the log.
+    Raises:
+        TrainingDiverged: too many invalid steps.
+    """
+    start, config, number = time.perf_counter(), plan.config.dagger, int(trainer.iteration)
+    around, pieces = deviation(config, number), _num_rollouts(plan.config)
+    policy, statistics, rows, num_valid, worst = policy_of(trainer, plan.config), trainer.normaliser, [], 0, None
+    for _ in range(pieces):
+        before = trainer
+        trainer, (rollout, _) = programs.collect(env, before, np.float32(around))
+        statistics, stored, counts = programs.store(statistics, rollout)
+        seen, expert = (meshes.on_host(stored.observation[name]) for name in (ACTOR_KEY, EXPERT_KEY))
+        sound = meshes.on_host(stored.valid)
+        rows.append((seen[sound], expert[sound]))
+        sound_steps = int(meshes.on_host(counts["num_valid"]))
+        num_valid += sound_steps
+        worst = before if worst is None and sound_steps < plan.config.unroll_length * plan.num_envs else worst
+        advance(sound.shape[1] * plan.config.unroll_length)
+    num_steps = pieces * plan.config.unroll_length * plan.num_envs
+    record = validity_of(num_valid, num_steps)
+    replay = lambda: programs.replay(env, worst, around) if worst is not None else {}  # noqa: E731
+    check_validity(record, number + 1, plan.config, replay)
+    mean, std = meshes.on_host((_of(statistics.mean), _of(statistics.std)))
+    policy = dataclasses.replace(policy, mean=mean, std=std)
+    key_fit, key = jax.random.split(trainer.key)
+    columns = np.concatenate([row[0] for row in rows]), np.concatenate([row[1] for row in rows])
+    policy, loss = fit_round(policy, config, number, columns, key_fit)
+    if number == config.rounds - 1:
+        policy = moderated(policy, config.share)
+    layers = meshes.everywhere(plan.mesh, {"params": dict(policy.layers)})
+    learner = dataclasses.replace(trainer.learner, parameters=trainer.learner.parameters | {"policy": layers})
+    trainer = dataclasses.replace(
+        trainer,
+        learner=learner,
+        normaliser=statistics,
+        key=key,
+        iteration=trainer.iteration + jnp.int32(1),
+        env_steps=trainer.env_steps + jnp.uint32(num_steps),
+        episodes=trainer.episodes.cleared(),
+    )
+    seconds = time.perf_counter() - start
+    times = {"dagger_seconds": round(seconds, 2), "dagger_steps_per_second": round(num_steps / seconds, 1)}
+    counts = {"iteration": number + 1, "env_steps": int(trainer.env_steps)}
+    return trainer, counts | record | {"dagger_loss": loss} | times
+
+
+def _sizes(config: PPOConfig, env: Env, num_envs: int) -> list[int]:
+    """Environment steps of every iteration: the rounds of DAgger, then those of PPO."""
+    if num_envs % jax.device_count():
+        raise ValueError(f"num_envs: got {num_envs}, allowed: a multiple of the {jax.device_count()} devices")
+    if config.dagger.rounds > 0 and EXPERT_KEY not in observation_sizes(env):
+        raise ValueError(f"dagger.rounds: got {config.dagger.rounds}, allowed: 0, this environment knows no expert")
+    per_iteration = config.unroll_length * num_envs
     if per_iteration < config.num_minibatches:
-        steps = f"unroll_length {config.unroll_length} x {copies} environments"
+        steps = f"unroll_length {config.unroll_length} x {num_envs} envs"
         raise ValueError(f"num_minibatches: got {config.num_minibatches}, allowed: at most {per_iteration} ({steps})")
-    imitation = [config.imitation.steps * copies] * rounds
-    return imitation + [per_iteration] * -(-config.num_steps // per_iteration)
+    rounds = [_num_rollouts(config) * per_iteration] * config.dagger.rounds
+    return rounds + [per_iteration] * -(-config.num_steps // per_iteration)
 
 
-def _identity(config: PPOConfig, environment: VectorEnv, seed: int) -> str:
-    sizes = [num_copies(environment), environment.action_size, environment.observation_sizes]
-    return artifacts.hash_of([as_mapping(config), sizes, seed])
+def _of(statistics: Any) -> Any:
+    """The actor's part of an observation's statistics."""
+    return statistics[ACTOR_KEY]
 
 
-def _note(record: Record) -> str:
-    shown = ((name, record.get(name)) for name in ("return", "reward", "std", "kl"))
-    return ", ".join(f"{name} {value:.3g}" for name, value in shown if value is not None)
+def _num_rollouts(config: PPOConfig) -> int:
+    """Rollouts in a round of DAgger."""
+    return -(-config.dagger.steps // config.unroll_length)

@@ -8,12 +8,15 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
 
 from qjrl.learning.ppo.advantages import advantages_and_returns
 from qjrl.learning.ppo.brax_parts import PPONetworks
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import CRITIC_KEY
 from qjrl.learning.ppo.loss import Batch, ppo_loss
+from qjrl.learning.ppo.mesh import ENVS
 from qjrl.learning.ppo.normaliser import Normaliser
 from qjrl.learning.ppo.rollout import Rollout
 
@@ -34,24 +37,27 @@ def make_learner(config: PPOConfig, parameters: dict[str, Any]) -> Learner:
     return Learner(parameters, optax.scale_by_adam().init(parameters), jnp.float32(config.learning_rate))
 
 
-def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple[Learner, dict[str, jax.Array]]]:
-    """The compiled update: (learner, normaliser, rollout, final values, key, moves actor) -> (learner, metrics).
+def make_update(
+    networks: PPONetworks, config: PPOConfig, mesh: Mesh | None = None
+) -> Callable[..., tuple[Learner, dict[str, jax.Array]]]:
+    """The update: (learner, normaliser, rollout, last observation, key, moves actor) -> (learner, metrics).
 
-    The learner that goes in is consumed. Where the actor is not moved, the critic alone learns.
+    Where the actor is not moved, the critic alone learns. On a mesh the rows of every minibatch are cut over the devices.
     """
 
     def update(
         learner: Learner,
         normaliser: Normaliser,
         rollout: Rollout,
-        final_values: jax.Array,
+        last_observation: jax.Array,
         key: jax.Array,
         moves_actor: jax.Array,
     ) -> tuple[Learner, dict[str, jax.Array]]:
-        batch, batch_metrics = _batch(networks, config, learner.parameters, normaliser, rollout, final_values)
+        batch, batch_metrics = _batch(networks, config, learner.parameters, normaliser, rollout, last_observation)
         key_order, key_entropy = jax.random.split(key)
         order = minibatches(config, batch.weight.shape[0], key_order)
         keys = jax.random.split(key_entropy, order.shape[0])
+        batch, order = _cut_over_devices(mesh, batch, order)
 
         def step(learner: Learner, inputs: tuple[jax.Array, jax.Array]) -> tuple[Learner, dict[str, jax.Array]]:
             rows, key = inputs
@@ -71,7 +77,16 @@ def make_update(networks: PPONetworks, config: PPOConfig) -> Callable[..., tuple
             learner = dataclasses.replace(learner, learning_rate=jnp.where(moves_actor, adapted, learner.learning_rate))
         return learner, means
 
-    return jax.jit(update, donate_argnums=0)
+    return update
+
+
+def _cut_over_devices(mesh: Mesh | None, batch: Batch, order: jax.Array) -> tuple[Batch, jax.Array]:
+    """All rows on every device, and each minibatch's numbers cut over them, where they divide evenly."""
+    if mesh is None or mesh.size == 1:
+        return batch, order
+    whole = jax.lax.with_sharding_constraint(batch, NamedSharding(mesh, P()))
+    cut = P(None, ENVS) if order.shape[1] % mesh.size == 0 else P()
+    return whole, jax.lax.with_sharding_constraint(order, NamedSharding(mesh, cut))
 
 
 def gradient_step(config: PPOConfig, learner: Learner, gradient: dict[str, Any]) -> Learner:
@@ -102,14 +117,14 @@ def _batch(
     parameters: Any,
     normaliser: Any,
     rollout: Rollout,
-    final_values: jax.Array,
+    last_observation: jax.Array,
 ) -> tuple[Batch, dict[str, jax.Array]]:
     """The rollout as rows, (steps * envs, ...), with advantages normalised over its valid rows."""
     values = networks.value_network.apply(normaliser, parameters["value"], rollout.observation)
-    last_value = networks.value_network.apply(normaliser, parameters["value"], {CRITIC_KEY: rollout.last_observation})
+    last_value = networks.value_network.apply(normaliser, parameters["value"], {CRITIC_KEY: last_observation})
     scaled = dataclasses.replace(rollout, reward=rollout.reward * config.reward_scaling)
     advantages, returns = advantages_and_returns(
-        scaled, values, last_value, final_values, config.discount, config.gae_lambda
+        scaled, values, last_value, rollout.final_value, config.discount, config.gae_lambda
     )
     weight = rollout.valid.astype(jnp.float32)
     mean, variance = _moments(advantages, weight)

@@ -1,129 +1,253 @@
 """One segment in the frame of its base: where its bodies are at the half angles of its joints, and how they move.
 
 The half angles (x, y) of a joint are those of the MJCF's lower hinges: n = Rx(x) Ry(y) e_z is half-way through the joint.
-A rigid body is given by four points: its centre and the tips of its three principal axes.
-Components come first and a batch of arms last, as in `geometry.lanes`.
+A plate's columns follow from n without a matrix product: X' = X - 2 n_x n, Y' = Y - 2 n_y n, Z' = 2 n_z n - Z.
+Every body, a chord or a link, is symmetric about an axis. "Drift" is what accelerates at constant rates of the half angles.
 """
+
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.geometry import lanes
+from qjrl.geometry import vectors
+from qjrl.geometry.vectors import IDENTITY, ZERO, Matrix, Vector, add, times
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
 
 @struct.dataclass
-class SegmentShape:
-    """A segment at half angles (2, *batch) [rad]."""
+class Place:
+    """A point of the segment: a centre, a plate or the end."""
 
-    points: jax.Array
-    """(3, points, *batch): per joint chord and link, of each the centre [m] and the three axes."""
-    end: jax.Array
-    """(3, *batch) [m]."""
-    rotation: jax.Array
-    """(3, 3, *batch) of the end."""
-    turning: jax.Array
-    """(3, 2, *batch) angular velocity of the end for a rate of each half angle."""
-    bend: jax.Array
-    """(2, *batch) a of its joints."""
-    height: jax.Array
-    """(*batch) H(theta) [m]."""
-    cosine: jax.Array
-    """(*batch) cos(theta/2)."""
+    at: Vector
+    """[m]."""
+    slope: tuple[Vector, Vector]
+    """By each half angle [m/rad]."""
+    drift: Vector
+    """[m/s^2]."""
+
+
+@struct.dataclass
+class Spin:
+    """How a body turns."""
+
+    slope: tuple[Vector, Vector]
+    """Angular velocity for a rate of each half angle."""
+    rate: Vector
+    """Angular velocity [rad/s]."""
+    drift: Vector
+    """Angular acceleration [rad/s^2]."""
+
+
+@struct.dataclass
+class Body:
+    """Chord or link."""
+
+    centre: Place
+    axis: Vector
+    spin: Spin
+
+
+@struct.dataclass
+class Scalar:
+    """A number of the segment, its slopes and its drift."""
+
+    at: Any
+    slope: tuple[Any, Any]
+    drift: Any
 
 
 @struct.dataclass
 class SegmentMotion:
-    """A shape and its derivatives."""
+    """A segment at half angles and their rates."""
 
-    at: SegmentShape
-    slope: SegmentShape
-    """By each half angle, along a new first axis."""
-    rate: SegmentShape
-    """By time."""
-    drift: SegmentShape
-    """By time twice, at constant rates of the half angles."""
+    chords: list[Body]
+    links: list[Body]
+    end: Place
+    rotation: Matrix
+    """Of the end."""
+    spin: Spin
+    """Of the end."""
+    cosine: Scalar
+    """cos(theta/2)."""
+    height: Scalar
+    """H(theta) [m]."""
+    bend_slope: tuple[tuple[Any, Any], tuple[Any, Any]]
+    """Of the bend a of its joints, by each half angle."""
+    bend: tuple[Any, Any]
 
 
-def segment_shape(arm: QuaternionArm, count: int, half_angles: jax.Array) -> SegmentShape:
-    """A segment of `count` joints at half angles (2, *batch) [rad]."""
-    (sine_x, sine_y), (cosine_x, cosine_y) = jnp.sin(half_angles), jnp.cos(half_angles)
-    bend, cosine = jnp.stack([sine_y, -sine_x * cosine_y]), cosine_x * cosine_y
-    half = jnp.stack([*bend, cosine])
-    height, link_length = height_at(arm, cosine), arm.link_length.astype(half.dtype)
-    home_height = height_at(arm, jnp.ones((), half.dtype))
-    chord, turn = _chord(sine_x, cosine_x, sine_y, cosine_y), _half_turn(half)
-    turning_once = _turning(sine_x, cosine_x, sine_y, cosine_y)
-    end, rotation, turning = jnp.zeros_like(half), lanes.identity_like(chord), jnp.zeros_like(turning_once)
-    points = []
+@struct.dataclass
+class _Joint:
+    """What all joints of a segment share, in the frames of their lower plates."""
+
+    sine: tuple[Any, Any]
+    cosine: tuple[Any, Any]
+    half: Vector
+    """n."""
+    turning: Vector
+    """Angular velocity of the upper plate for a rate of x; that for y is twice the chord's."""
+    drift: Vector
+    """Angular acceleration of the upper plate."""
+    chord_drift: Vector
+    rates: tuple[Any, Any]
+
+
+def segment_motion(arm: QuaternionArm, count: int, half_angles: Any, rates: Any) -> SegmentMotion:
+    """A segment of `count` joints at half angles [rad] and rates [rad/s], pairs of (*batch)."""
+    x, y = half_angles
+    sine_x, sine_y, cosine_x, cosine_y = jnp.sin(x), jnp.sin(y), jnp.cos(x), jnp.cos(y)
+    joint = _joint((sine_x, sine_y), (cosine_x, cosine_y), rates)
+    cosine = _cosine(joint)
+    height = _height(arm, cosine, rates)
+    home_height = 0.5 * height_at(arm, jnp.ones((), sine_x.dtype))
+    half_link = 0.5 * arm.link_length.astype(sine_x.dtype)
+    place, rotation, spin = Place(ZERO, (ZERO, ZERO), ZERO), IDENTITY, Spin((ZERO, ZERO), ZERO, ZERO)
+    chords, links = [], []
     for _ in range(count):
-        along = lanes.times(rotation, half)
-        turning = turning + lanes.product(rotation, turning_once)
-        points += [end + 0.5 * home_height * along, *_columns(lanes.product(rotation, chord))]
-        rotation = lanes.product(rotation, turn)
-        plate = end + height * along
-        points += [plate + 0.5 * link_length * rotation[:, 2], *_columns(rotation)]
-        end = plate + link_length * rotation[:, 2]
-    return SegmentShape(jnp.stack(points, axis=1), end, rotation, turning, bend, height, cosine)
+        chord_spin, after = _spins(joint, rotation, spin)
+        half = _turning(rotation.times(joint.half), chord_spin, rates)
+        chords.append(Body(_beyond(place, home_height, half), half.at, chord_spin))
+        plate = _raised(place, height, half, rates)
+        rotation = _rolled(rotation, joint.half, half.at)
+        spin = after
+        axis = _turning(rotation.z, spin, rates)
+        middle = _beyond(plate, half_link, axis)
+        links.append(Body(middle, rotation.z, spin))
+        place = _beyond(middle, half_link, axis)
+    zero = jnp.zeros_like(sine_x)
+    bend_slope = ((zero, -cosine.at), (cosine_y, sine_x * sine_y))
+    return SegmentMotion(chords, links, place, rotation, spin, cosine, height, bend_slope, (sine_y, -sine_x * cosine_y))
 
 
-def segment_motions(arm: QuaternionArm, half_angles: jax.Array, rates: jax.Array) -> list[SegmentMotion]:
-    """Every segment at half angles and rates (segments, 2, *batch); those of equally many joints side by side."""
-    found: dict[int, SegmentMotion] = {}
-    for count in sorted(set(arm.joints_per_segment)):
-        rows = [row for row, other in enumerate(arm.joints_per_segment) if other == count]
-        together = [jnp.stack([values[row] for row in rows], axis=-1) for values in (half_angles, rates)]
-        motion = _motion(arm, count, *together)
-        for place, row in enumerate(rows):
-            found[row] = jax.tree.map(lambda value, place=place: value[..., place], motion)
-    return [found[row] for row in range(arm.num_segments)]
+def segment_motions(arm: QuaternionArm, half_angles: jax.Array, rates: jax.Array) -> dict[int, SegmentMotion]:
+    """By number of joints: all segments of so many joints side by side, along a new first axis, at half angles and rates
+    (segments, 2, *batch)."""
+    return {
+        count: segment_motion(
+            arm,
+            count,
+            *(
+                (jnp.stack([values[row, 0] for row in rows]), jnp.stack([values[row, 1] for row in rows]))
+                for values in (half_angles, rates)
+            ),
+        )
+        for count, rows in rows_by_count(arm).items()
+    }
+
+
+def rows_by_count(arm: QuaternionArm) -> dict[int, list[int]]:
+    """Segments by their number of joints."""
+    counts = arm.joints_per_segment
+    return {count: [row for row, other in enumerate(counts) if other == count] for count in sorted(set(counts))}
 
 
 def height_at(arm: QuaternionArm, cosine: jax.Array) -> jax.Array:
     """H(theta) [m] at cos(theta/2)."""
-    crossed, pins, offset = (
-        length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
-    )
+    crossed, pins, offset = _lengths(arm, cosine)
     return height_of_cosine(crossed, pins, offset, cosine)
 
 
-def _motion(arm: QuaternionArm, count: int, angles: jax.Array, rates: jax.Array) -> SegmentMotion:
-    shape = lambda angles: segment_shape(arm, count, angles)  # noqa: E731
-    (at, rate), (_, drift) = jax.jvp(lambda angles: jax.jvp(shape, (angles,), (rates,)), (angles,), (rates,))
-    units = [jnp.zeros_like(angles).at[index].set(1.0) for index in range(2)]
-    x, y = (jax.jvp(shape, (angles,), (unit,))[1] for unit in units)
-    return SegmentMotion(at, jax.tree.map(lambda *both: jnp.stack(both), x, y), rate, drift)
-
-
-def _chord(sine_x, cosine_x, sine_y, cosine_y):
-    """Rx(x) Ry(y)."""
-    zero = jnp.zeros_like(sine_x)
-    return lanes.from_rows(
-        [cosine_y, zero, sine_y],
-        [sine_x * sine_y, cosine_x, -sine_x * cosine_y],
-        [-cosine_x * sine_y, sine_x, cosine_x * cosine_y],
+def _joint(sine, cosine, rates) -> _Joint:
+    """Lower hinges x, y, then upper y, x, whose axes lie where those before have turned them: e_x + Rx(x) Ry(2y) e_x and
+    2 Rx(x) e_y."""
+    (sine_x, sine_y), (cosine_x, cosine_y), (rate_x, rate_y) = sine, cosine, rates
+    double_sine, double_cosine = 2.0 * sine_y * cosine_y, 2.0 * cosine_y * cosine_y - 1.0
+    turning = Vector(1.0 + double_cosine, sine_x * double_sine, -cosine_x * double_sine)
+    mixed = times(rate_x, rate_y)
+    square = times(rate_x, rate_x)
+    by_x = Vector(0.0, -turning.z, turning.y).scaled(square)
+    by_y = Vector(-2.0 * double_sine, 2.0 * sine_x * double_cosine, -2.0 * cosine_x * double_cosine).scaled(mixed)
+    chord_drift = Vector(0.0, -sine_x, cosine_x).scaled(mixed)
+    return _Joint(
+        sine,
+        cosine,
+        Vector(sine_y, -sine_x * cosine_y, cosine_x * cosine_y),
+        turning,
+        by_x + by_y + chord_drift + chord_drift,
+        chord_drift,
+        rates,
     )
 
 
-def _half_turn(n):
-    """Rot(n, pi) Rot(z, pi) (Eq. 2 of paper 000)."""
-    x, y, z = n
-    return lanes.from_rows(
-        [1.0 - 2.0 * x * x, -2.0 * x * y, 2.0 * x * z],
-        [-2.0 * x * y, 1.0 - 2.0 * y * y, 2.0 * y * z],
-        [-2.0 * x * z, -2.0 * y * z, 2.0 * z * z - 1.0],
+def _cosine(joint: _Joint) -> Scalar:
+    (sine_x, sine_y), (cosine_x, cosine_y), (rate_x, rate_y) = joint.sine, joint.cosine, joint.rates
+    squares = add(times(rate_x, rate_x), times(rate_y, rate_y))
+    mixed = times(2.0, times(rate_x, rate_y))
+    drift = vectors.subtract(times(sine_x * sine_y, mixed), times(joint.half.z, squares))
+    return Scalar(joint.half.z, (-sine_x * cosine_y, -cosine_x * sine_y), drift)
+
+
+def _height(arm: QuaternionArm, cosine: Scalar, rates) -> Scalar:
+    """By the chain rule through cos(theta/2)."""
+    crossed, pins, offset = _lengths(arm, cosine.at)
+    root = (crossed**2 - (pins * cosine.at) ** 2) ** 0.5
+    first = 2.0 * offset - pins**2 * cosine.at / root
+    second = -((crossed * pins) ** 2) / (root * root * root)
+    speed = _at(cosine.slope, rates)
+    drift = add(times(second, times(speed, speed)), times(first, cosine.drift))
+    slope = (first * cosine.slope[0], first * cosine.slope[1])
+    return Scalar(root + 2.0 * offset * cosine.at, slope, drift)
+
+
+def _spins(joint: _Joint, rotation: Matrix, spin: Spin) -> tuple[Spin, Spin]:
+    """Of the chord and of the upper plate that follow a plate."""
+    (sine_x, _), (cosine_x, _), rates = joint.sine, joint.cosine, joint.rates
+    second = rotation.y.scaled(cosine_x) + rotation.z.scaled(sine_x)  # R Rx(x) e_y
+    chord_y = spin.slope[1] + second
+
+    def turning(slope: tuple[Vector, Vector], drift: Vector) -> Spin:
+        rate = _vector_at(slope, rates)
+        return Spin(slope, rate, spin.drift + spin.rate.cross(rate) + rotation.times(drift))
+
+    after = (spin.slope[0] + rotation.times(joint.turning), chord_y + second)
+    return turning((spin.slope[0] + rotation.x, chord_y), joint.chord_drift), turning(after, joint.drift)
+
+
+def _turning(axis: Vector, spin: Spin, rates) -> Place:
+    """A unit vector that turns with a body."""
+    slope = (spin.slope[0].cross(axis), spin.slope[1].cross(axis))
+    return Place(axis, slope, spin.drift.cross(axis) + spin.rate.cross(_vector_at(slope, rates)))
+
+
+def _beyond(place: Place, length: Any, axis: Place) -> Place:
+    """At a constant length along an axis."""
+    slope = (place.slope[0] + axis.slope[0].scaled(length), place.slope[1] + axis.slope[1].scaled(length))
+    return Place(place.at + axis.at.scaled(length), slope, place.drift + axis.drift.scaled(length))
+
+
+def _raised(place: Place, height: Scalar, axis: Place, rates) -> Place:
+    """At a joint's height along an axis."""
+    moved = _beyond(place, height.at, axis)
+    slope = (moved.slope[0] + axis.at.scaled(height.slope[0]), moved.slope[1] + axis.at.scaled(height.slope[1]))
+    twice = times(2.0, _at(height.slope, rates))
+    return Place(
+        moved.at,
+        slope,
+        moved.drift + axis.at.scaled(height.drift) + _vector_at(axis.slope, rates).scaled(twice),
     )
 
 
-def _turning(sine_x, cosine_x, sine_y, cosine_y):
-    """Angular velocity of a joint's upper plate: lower hinges x, y, then upper y, x, whose axes lie where those before
-    have turned them, e_x + Rx(x) Ry(2y) e_x and 2 Rx(x) e_y."""
-    sine, cosine = 2.0 * sine_y * cosine_y, cosine_y**2 - sine_y**2
-    zero = jnp.zeros_like(sine)
-    return lanes.from_rows([1.0 + cosine, zero], [sine_x * sine, 2.0 * cosine_x], [-cosine_x * sine, 2.0 * sine_x])
+def _rolled(rotation: Matrix, n: Vector, turned: Vector) -> Matrix:
+    """Columns times Rot(n, pi) Rot(z, pi) (Eq. 2 of paper 000), `turned` being n in their frame."""
+    return Matrix(
+        rotation.x - turned.scaled(2.0 * n.x),
+        rotation.y - turned.scaled(2.0 * n.y),
+        turned.scaled(2.0 * n.z) - rotation.z,
+    )
 
 
-def _columns(matrix) -> list:
-    return [matrix[:, 0], matrix[:, 1], matrix[:, 2]]
+def _at(slope, rates):
+    return add(times(slope[0], rates[0]), times(slope[1], rates[1]))
+
+
+def _vector_at(slope, rates) -> Vector:
+    return slope[0].scaled(rates[0]) + slope[1].scaled(rates[1])
+
+
+def _lengths(arm: QuaternionArm, cosine: jax.Array) -> tuple:
+    return tuple(
+        length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
+    )

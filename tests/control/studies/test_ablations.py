@@ -8,11 +8,9 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.studies.ablations import ABLATIONS, ablations
 from qjrl.control.studies.parameter_effects import NOMINAL, one_at_a_time
 from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.imitation import ImitationConfig
+from qjrl.learning.ppo.dagger import DaggerConfig
 
-CONFIG = PolicyConfig(
-    ppo=PPOConfig(num_steps=1000, learning_rate=1e-5, target_kl=0.01, imitation=ImitationConfig(rounds=8))
-)
+CONFIG = PolicyConfig(ppo=PPOConfig(num_steps=1000, learning_rate=1e-5, target_kl=0.01, dagger=DaggerConfig(rounds=8)))
 
 
 def differences(one, other, path=""):
@@ -26,15 +24,15 @@ def test_every_ablation_is_shortened_and_changes_what_its_name_says():
     made = ablations(CONFIG, 0.25)
     assert tuple(made) == ABLATIONS
     reference = as_mapping(made["as it is"])
-    assert differences(as_mapping(CONFIG), reference) == ["ppo.num_steps", "ppo.imitation.rounds"]
-    assert made["as it is"].ppo.num_steps == 250 and made["as it is"].ppo.imitation.rounds == 2
+    assert differences(as_mapping(CONFIG), reference) == ["ppo.num_steps", "ppo.dagger.rounds"]
+    assert made["as it is"].ppo.num_steps == 250 and made["as it is"].ppo.dagger.rounds == 2
     changed = {name: set(differences(reference, as_mapping(config))) for name, config in made.items()}
     usual = {"ppo.learning_rate", "ppo.target_kl"}
     residual, randomised = "environment.residual", "environment.randomisation"
     assert changed == {
         "as it is": set(),
-        "no imitation": {"ppo.imitation.rounds", *usual},
-        "no imitation, random start": {"ppo.imitation.rounds", "ppo.starts_at_zero", *usual},
+        "no DAgger": {"ppo.dagger.rounds", *usual},
+        "no DAgger, random start": {"ppo.dagger.rounds", "ppo.starts_at_zero", *usual},
         "20 mm a step": {f"{residual}.bound", f"{residual}.rate", f"{residual}.lag"},
         "no sensor memory": {"environment.remembers"},
         "no prior": {f"environment.estimate.{name}" for name in ("gain", "tilt_deg", "friction")},

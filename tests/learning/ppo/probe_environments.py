@@ -4,73 +4,73 @@ The idea is Andy Jones's (andyljones.com/posts/rl-debugging.html): value loss; b
 discount; policy gradient; policy gradient by observation.
 """
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable
 
-import numpy as np
+import jax
+import jax.numpy as jnp
+from flax import struct
 
-from qjrl.learning.ppo.environment import Transition
+from qjrl.learning.ppo.environment import State
 
 NUM_ENVS = 64
 
-Reward = Callable[[np.ndarray, np.ndarray], np.ndarray]
+Observe = Callable[[jax.Array, jax.Array], jax.Array]
+"""(key, steps since the start of the episode) -> number."""
+Reward = Callable[[jax.Array, jax.Array], jax.Array]
 """(observation (n,), action (n,)) -> (n,)."""
 
 
-def a_sign(rng: np.random.Generator, time: int) -> np.ndarray:
+def a_sign(key, time):
     """-1 or 1."""
     del time
-    return rng.choice(np.array([-1, 1], np.float32), NUM_ENVS)
+    return jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
 
 
-def nothing(rng: np.random.Generator, time: int) -> np.ndarray:
+def nothing(key, time):
     """Always 0."""
-    del rng, time
-    return np.zeros(NUM_ENVS, np.float32)
+    del key, time
+    return jnp.float32(0)
 
 
-def the_time(rng: np.random.Generator, time: int) -> np.ndarray:
+def the_time(key, time):
     """Steps since the start of the episode."""
-    del rng
-    return np.full(NUM_ENVS, time, np.float32)
+    del key
+    return time.astype(jnp.float32)
 
 
+@struct.dataclass
+class Inner:
+    key: jax.Array
+    time: jax.Array
+    seen: jax.Array
+
+
+@struct.dataclass
 class ProbeEnvironment:
-    """Episodes of `length` steps; every observation is drawn afresh. Its random state is a counter."""
+    """Episodes of `length` steps; every observation is drawn afresh."""
 
-    num_envs = NUM_ENVS
-    action_size = 1
+    observe: Observe = struct.field(pytree_node=False)
+    reward: Reward = struct.field(pytree_node=False)
+    length: int = struct.field(pytree_node=False, default=1)
+    truncates: bool = struct.field(pytree_node=False, default=False)
+    action_size: int = struct.field(pytree_node=False, default=1)
 
-    def __init__(self, observe: Callable[..., np.ndarray], reward: Reward, length: int = 1, truncates: bool = False):
-        self.observation_sizes = {"state": 1, "privileged_state": 1}
-        self.gives_advice = False
-        self.observe, self.reward, self.length, self.truncates = observe, reward, length, truncates
-        self.count = self.time = 0
-        self.seen = np.zeros(NUM_ENVS, np.float32)
+    def reset(self, keys):
+        inner, observation = self._seen(keys, jnp.zeros(len(keys), jnp.int32))
+        zeros, never = jnp.zeros(len(keys), jnp.float32), jnp.zeros(len(keys), bool)
+        return State(inner, observation, observation, zeros, never, never, ~never, {"size": zeros})
 
-    def reset(self) -> dict[str, np.ndarray]:
-        self.time = 0
-        return self._observation()
-
-    def step(self, actions: np.ndarray) -> Transition:
-        reward = self.reward(self.seen, np.asarray(actions)[:, 0])
-        self.time += 1
-        final = self._observation()
-        ends = np.full(NUM_ENVS, self.time == self.length)
-        observation = self.reset() if ends[0] else final
-        never = np.zeros(NUM_ENVS, bool)
+    def step(self, state, actions):
+        before = state.inner
+        reward = jnp.asarray(self.reward(before.seen, actions[:, 0]), jnp.float32)
+        ends = before.time + 1 == self.length
+        _, final = self._seen(jax.random.clone(before.key), before.time + 1)
+        inner, observation = self._seen(before.key, jnp.where(ends, 0, before.time + 1))
+        never = jnp.zeros_like(ends)
         terminated, truncated = (never, ends) if self.truncates else (ends, never)
-        valid = np.ones(NUM_ENVS, bool)
-        return Transition(observation, reward, terminated, truncated, final, valid, {"size": np.abs(reward)})
+        return State(inner, observation, final, reward, terminated, truncated, ~never, {"size": jnp.abs(reward)})
 
-    def get_state(self) -> dict[str, np.ndarray]:
-        return {"counters": np.array([self.count, self.time]), "seen": self.seen, "none": np.zeros((0, 2))}
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        self.count, self.time = (int(counter) for counter in state["counters"])
-        self.seen = state["seen"]
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        self.count += 1
-        self.seen = self.observe(np.random.default_rng(self.count), self.time)
-        return {"state": self.seen[:, None], "privileged_state": self.seen[:, None]}
+    def _seen(self, keys, time):
+        both = jax.vmap(jax.random.split)(keys)
+        seen = jax.vmap(self.observe)(both[:, 0], time).astype(jnp.float32)
+        return Inner(both[:, 1], time, seen), {"state": seen[:, None], "privileged_state": seen[:, None]}

@@ -1,6 +1,6 @@
 """One PPO update in a process of its own: `python sharded_update.py OUT [ADDRESS PROCESS]`.
 
-Without an address on all devices of this process; with one as process 0 or 1 of two, each with half of the environments.
+Without an address on all devices of this process; with one as process 0 or 1 of two, each with half of the envs.
 """
 
 import sys
@@ -9,10 +9,11 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-from test_ppo_update import ACTIONS, CONFIG, ENVS, SIZES, STEPS, rollout
+from jax.sharding import NamedSharding, PartitionSpec
+from test_ppo_update import ACTIONS, CONFIG, ENVS, SIZES, STEPS, last_observation, rollout
 
 from qjrl.artifacts import write_arrays
-from qjrl.learning.ppo import sharding
+from qjrl.learning.ppo import mesh as meshes
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
 from qjrl.learning.ppo.normaliser import initial_normaliser, update_normaliser
 from qjrl.learning.ppo.update import make_learner, make_update
@@ -22,30 +23,37 @@ def whole_rollout():
     """With an invalid, a terminated and a truncated row."""
     found = rollout()
     found.valid[2, 1], found.terminated[1, 2], found.truncated[3, 0] = False, True, True
-    return found
+    return found.replace(final_value=np.linspace(0.0, 1.0, STEPS * ENVS, dtype=np.float32).reshape(STEPS, ENVS))
 
 
-def updated(is_sharded: bool, environments: slice = slice(None)) -> dict[str, np.ndarray]:
-    """Leaves of learner, metrics and normaliser after one update."""
-    own = jax.tree.map(lambda value: value[:, environments], whole_rollout())
-    own = own.replace(last_observation=whole_rollout().last_observation[environments])
+def updated(mesh=None) -> dict[str, np.ndarray]:
+    """Leaves of learner, metrics and normaliser after one update, on a mesh or without one."""
     networks = make_networks(CONFIG, SIZES, ACTIONS)
-    update, take_in = make_update(networks, CONFIG), jax.jit(update_normaliser)
-    if is_sharded:
-        mesh = sharding.device_mesh()
-        update, take_in = sharding.update_on(mesh, update), sharding.normaliser_on(mesh, take_in)
     learner = make_learner(CONFIG, initial_parameters(networks, 0.3, jax.random.key(0)))
-    normaliser = take_in(initial_normaliser(SIZES), own.observation, own.valid)
-    final_values = np.linspace(0.0, 1.0, STEPS * ENVS, dtype=np.float32).reshape(STEPS, ENVS)[:, environments]
-    found = update(learner, normaliser, own, final_values, jax.random.key(1), jnp.bool_(True))
-    return {str(index): np.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves((found, normaliser)))}
+    same = learner, initial_normaliser(SIZES), jax.random.key(1), jnp.bool_(True)
+    steps, rows = whole_rollout(), last_observation()
+    if mesh is not None:
+        same = meshes.everywhere(mesh, same)
+        steps, rows = cut(mesh, steps, PartitionSpec(None, "envs")), cut(mesh, rows, PartitionSpec("envs"))
+    learner, normaliser, key, moves_actor = same
+    normaliser = jax.jit(update_normaliser)(normaliser, steps.observation, steps.valid)
+    update = jax.jit(make_update(networks, CONFIG, mesh))
+    found = update(learner, normaliser, steps, rows, key, moves_actor), normaliser
+    return {str(index): meshes.on_host(leaf) for index, leaf in enumerate(jax.tree.leaves(found))}
+
+
+def cut(mesh, tree, spec):
+    """Every process holds the whole arrays, and places its part of them."""
+    sharding = NamedSharding(mesh, spec)
+
+    def place(leaf):
+        return jax.make_array_from_callback(leaf.shape, sharding, lambda index: leaf[index])
+
+    return jax.tree.map(place, tree)
 
 
 if __name__ == "__main__":
-    environments = slice(None)
     if len(sys.argv) > 2:
-        process = int(sys.argv[3])
-        jax.distributed.initialize(sys.argv[2], num_processes=2, process_id=process)
-        environments = slice(process * ENVS // 2, (process + 1) * ENVS // 2)
+        jax.distributed.initialize(sys.argv[2], num_processes=2, process_id=int(sys.argv[3]))
     assert jax.device_count() == 2
-    write_arrays(Path(sys.argv[1]), updated(True, environments))
+    write_arrays(Path(sys.argv[1]), updated(meshes.device_mesh()))

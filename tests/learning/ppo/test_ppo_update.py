@@ -24,6 +24,7 @@ def rollout(seed=0):
 
     return Rollout(
         observation={name: normal(STEPS, ENVS, size) for name, size in SIZES.items()},
+        action=np.zeros((STEPS, ENVS, ACTIONS), np.float32),
         raw_action=0.3 * normal(STEPS, ENVS, ACTIONS),
         logits=np.zeros((STEPS, ENVS, 2 * ACTIONS), np.float32),
         log_probability=normal(STEPS, ENVS) - 1,
@@ -31,8 +32,12 @@ def rollout(seed=0):
         terminated=np.zeros((STEPS, ENVS), bool),
         truncated=np.zeros((STEPS, ENVS), bool),
         valid=np.ones((STEPS, ENVS), bool),
-        last_observation=normal(ENVS, 4),
+        final_value=np.zeros((STEPS, ENVS), np.float32),
     )
+
+
+def last_observation():
+    return np.random.default_rng(1).standard_normal((ENVS, 4), np.float32)
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +45,13 @@ def update():
     """One update of an untrained learner: rollout -> (learner, metrics, normaliser)."""
     networks = make_networks(CONFIG, SIZES, ACTIONS)
     parameters = jax.jit(lambda key: initial_parameters(networks, 0.3, key))(jax.random.key(0))
-    compiled = make_update(networks, CONFIG)
+    compiled = jax.jit(make_update(networks, CONFIG))
 
     def run(rollout, moves_actor=True):
-        learner = make_learner(CONFIG, jax.tree.map(jnp.copy, parameters))
+        learner = make_learner(CONFIG, parameters)
         normaliser = jax.jit(update_normaliser)(initial_normaliser(SIZES), rollout.observation, rollout.valid)
-        final_values = np.zeros((STEPS, ENVS), np.float32)
-        return *compiled(
-            learner, normaliser, rollout, final_values, jax.random.key(1), jnp.bool_(moves_actor)
-        ), normaliser
+        last, key = last_observation(), jax.random.key(1)
+        return *compiled(learner, normaliser, rollout, last, key, jnp.bool_(moves_actor)), normaliser
 
     return run
 

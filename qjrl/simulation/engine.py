@@ -1,0 +1,72 @@
+"""What an engine is: the physics of many arms of one robot as pure functions, home, advance and read; a row an arm.
+
+Engines are pytrees, arguments of compiled programs: numbers of the robot are leaves, the time step is static.
+"""
+
+import dataclasses
+from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+
+import jax
+import jax.numpy as jnp
+from flax import struct
+
+from qjrl.config import Range
+from qjrl.simulation.stepping import LARGEST_VALUE, PhysicalParameters, PlantState
+
+EngineKind = Literal["minimal", "mjx", "mjx-warp"]
+"""The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp."""
+
+
+@dataclasses.dataclass(frozen=True)
+class EngineConfig:
+    """Group `engine`: what policies train in."""
+
+    kind: EngineKind = "minimal"
+    """See `EngineKind`. On a CPU the arm's own equations are several times quicker."""
+    timestep: Annotated[float, Range(low=1e-4, high=0.02)] = 0.005
+    """Time step [s]; the control period is a multiple of it."""
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """The contract of all engines."""
+
+    robot: Any
+    timestep: float
+
+    def home(self, parameters: PhysicalParameters) -> Any:
+        """The state of arms with these parameters, at rest at home and holding their cables there."""
+        ...
+
+    def placed(self, state: Any, joint_positions: jax.Array, strand_commands: jax.Array) -> Any:
+        """The arms of `home` at rest at joint positions (n, nq) [rad, m], holding rest lengths (n, strands) [m]."""
+        ...
+
+    def advance(self, state: Any, strand_commands: jax.Array, num_steps: int | jax.Array) -> Any:
+        """`num_steps` time steps on, holding rest lengths (n, strands) [m]; an arm that diverges stays where it was."""
+        ...
+
+    def read(self, state: Any) -> PlantState:
+        """What the arms show."""
+        ...
+
+
+@struct.dataclass
+class Guarded:
+    """The moving part of an engine's state, and which arms have left the finite and the plausible."""
+
+    moving: Any
+    has_failed: Any
+    """(n,) since the arm was put at home."""
+
+
+def guarded(before: Guarded, after: Any, watched: Any) -> Guarded:
+    """`after` where it is sound; an arm whose `watched` values (n, ...), before or after, are not stays where it was."""
+    leaves = [jnp.abs(leaf.reshape(len(leaf), -1)) for leaf in jax.tree.leaves(watched)]
+    is_sound = jnp.all(jnp.concatenate(leaves, axis=1) < LARGEST_VALUE, axis=1)  # False for NaN
+    has_failed = before.has_failed | ~is_sound
+
+    def kept(new: jax.Array, old: jax.Array) -> jax.Array:
+        return jnp.where(has_failed.reshape(-1, *[1] * (new.ndim - 1)), old, new)
+
+    return Guarded(jax.tree.map(kept, after, before.moving), has_failed)
