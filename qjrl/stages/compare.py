@@ -39,7 +39,7 @@ _FITTED: Kinds = {
 _START: Kinds = dict.fromkeys(("uniform_median_mm", "near_home_median_mm"), NUMBER)
 _TRAINED: Kinds = {
     **dict.fromkeys(("kept_env_steps", "env_steps", "invalid_steps"), int),
-    **dict.fromkeys(("steps_per_second", "bare_steps_per_second", "share_of_bare_rate"), NUMBER),
+    **dict.fromkeys(("steps_per_second", "physics_steps_per_second", "share_of_physics_rate"), NUMBER),
 }
 
 

@@ -1,5 +1,7 @@
 """The environment under brax's own wrappers and parts of its trainers. Slow: each wraps, and compiles, the step anew."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +40,7 @@ def test_brax_s_wrappers_and_rollouts_earn_what_the_environment_does(env):
 
     wrapped, keys = training.wrap(env, episode_length=env.episode_length, action_repeat=1), keys_of(7)
     first, length = jax.jit(wrapped.reset)(jax.random.key_data(keys)), CONFIG.episode_steps + NUM_STEPS
-    act = lambda seen, key: (0.5 * jnp.tanh(seen[ACTOR_KEY][:, : ARM.num_cables]) + 0.1, {})  # noqa: E731
+    act: Any = lambda seen, key: (0.5 * jnp.tanh(seen[ACTOR_KEY][:, : ARM.num_cables]) + 0.1, {})  # noqa: E731
     unroll = jax.jit(lambda state, key: generate_unroll(wrapped, state, act, key, length, ("truncation",)))
     last, seen = unroll(first, jax.random.key_data(jax.random.key(1)))
     state, rewards, ends = reset(shared_env(), keys), [], []
@@ -59,6 +61,12 @@ def test_brax_s_ppo_does_not_run_on_the_pinned_jax(env):
     """Whoever mends brax learns it here, and changes the module's docstring."""
     from brax.training.agents.ppo.train import train
 
-    sizes = {"num_timesteps": 1, "num_envs": 2, "batch_size": 2, "num_minibatches": 1, "unroll_length": 1}
+    sizes: dict[str, Any] = {
+        "num_timesteps": 1,
+        "num_envs": 2,
+        "batch_size": 2,
+        "num_minibatches": 1,
+        "unroll_length": 1,
+    }
     with pytest.raises(AttributeError, match="device_put_replicated"):
         train(environment=env, episode_length=env.episode_length, **sizes)

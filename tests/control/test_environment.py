@@ -48,7 +48,9 @@ def begun(env):
 
 def again(state):
     """The same state once more, its keys unused."""
-    return jax.tree.map(lambda leaf: jax.random.wrap_key_data(plain(leaf)) if _is_key(leaf) else leaf, state)
+    return jax.tree.map(
+        lambda leaf: jax.random.wrap_key_data(jnp.asarray(plain(leaf))) if _is_key(leaf) else leaf, state
+    )
 
 
 def _is_key(leaf) -> bool:
@@ -122,7 +124,7 @@ def test_only_arms_whose_episode_ended_begin_anew(env):
     """The others' bits are those of a run in which nobody ends."""
     spread = reset(env, keys_of(4), spread=True)
     whole = dataclasses.replace(spread.inner.episode, episode_steps=jnp.full(NUM_ENVS, 1000, jnp.int32))
-    endless = spread.replace(inner=spread.inner.replace(episode=whole))
+    endless = dataclasses.replace(spread, inner=dataclasses.replace(spread.inner, episode=whole))
     actions = random_actions(CONFIG.episode_steps)
     is_first, some_ended = np.ones(NUM_ENVS, bool), 0
     for one, other in zip(run(env, spread, actions), run(env, endless, actions), strict=True):

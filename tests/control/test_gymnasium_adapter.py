@@ -45,7 +45,7 @@ def test_an_episode_of_one_arm_is_whole_and_ends_with_its_last_observation(arm):
         before = observation
         observation, reward, terminated, truncated, info = arm.step(np.zeros(ARM.num_cables, np.float32))
         assert not terminated and truncated == (step == CONFIG.episode_steps) and info["valid"]
-        assert np.any(observation != before) and np.isfinite(reward)
+        assert np.any(observation != before) and np.isfinite(float(reward))
 
 
 def test_the_vector_environment_says_how_it_resets_and_keeps_its_spaces(arms):
@@ -119,5 +119,5 @@ def test_one_arm_is_made_by_name_and_steps(registered):
     made = gymnasium.make("qjrl/Residual-v0", robot="qj_22", config=CONFIG, engine=ENGINE, num_targets=256)
     observation, _ = made.reset(seed=0)
     following, reward, terminated, truncated, info = made.step(np.zeros(ARM.num_cables, np.float32))
-    assert observation in made.observation_space and np.any(following != observation) and np.isfinite(reward)
+    assert observation in made.observation_space and np.any(following != observation) and np.isfinite(float(reward))
     assert not terminated and not truncated and info["valid"]

@@ -1,6 +1,7 @@
 """Stepping in minimal coordinates against C MuJoCo, and its own exact properties."""
 
 import dataclasses
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters, Stepper
 
 
-def MinimalStepper(arm, num_sims, timestep=0.005):
+def MinimalStepper(arm, num_sims, timestep=0.005) -> Any:
     return make_stepper(arm, num_sims, EngineConfig("minimal", timestep))
 
 

@@ -14,7 +14,7 @@ from qjrl.simulation import SettleConfig
 from qjrl.stages import compare
 
 ERRORS = {"median_mm": 0.1, "p99_mm": 0.5, "median_deg": None}
-RATES = {"steps_per_second": 9e3, "bare_steps_per_second": 3e4, "share_of_bare_rate": 0.3}
+RATES = {"steps_per_second": 9e3, "physics_steps_per_second": 3e4, "share_of_physics_rate": 0.3}
 STEPS = {"kept_env_steps": 0, "env_steps": 640, "invalid_steps": 0}
 MEASURED: dict[str, dict[str, Any]] = {
     "forward_model": {

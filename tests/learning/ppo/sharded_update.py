@@ -3,6 +3,7 @@
 Without an address on all devices of this process; with one as process 0 or 1 of two, each with half of the envs.
 """
 
+import dataclasses
 import sys
 from pathlib import Path
 
@@ -23,7 +24,9 @@ def whole_rollout():
     """With an invalid, a terminated and a truncated row."""
     found = rollout()
     found.valid[2, 1], found.terminated[1, 2], found.truncated[3, 0] = False, True, True
-    return found.replace(final_value=np.linspace(0.0, 1.0, STEPS * ENVS, dtype=np.float32).reshape(STEPS, ENVS))
+    return dataclasses.replace(
+        found, final_value=np.linspace(0.0, 1.0, STEPS * ENVS, dtype=np.float32).reshape(STEPS, ENVS)
+    )
 
 
 def updated(mesh=None) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ from qjrl.artifacts import ArtifactError, load
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.learning.ppo.config import PPOConfig
+from qjrl.learning.ppo.environment import Env
 from qjrl.learning.ppo.iteration import EXPLORES, make_plan
 from qjrl.learning.ppo.mesh import device_mesh
 from qjrl.learning.ppo.policy import deterministic_action, load_policy
@@ -40,7 +41,7 @@ PROBE = ProbeEnvironment(a_sign, the_closer_to_half_the_sign_the_better, 3, trun
 """Episodes of three steps cut off by the time limit, so that none fits a rollout of four."""
 
 
-def train(directory, env=PROBE, config=CONFIG, seed=0, **options):
+def train(directory, env: Env = PROBE, config=CONFIG, seed=0, **options):
     return train_ppo(env, config, NUM_ENVS, seed, directory, **options)
 
 
@@ -148,7 +149,7 @@ def test_the_policy_with_the_smallest_metric_is_kept_wherever_it_comes(tmp_path,
     again = train(tmp_path, evaluate=scripted_evaluation([], seen), minimise="error")
     assert_only_the_best_is_kept(tmp_path, again, seen, best)
     lines = [(record["iteration"], record.get("evaluation/error")) for record in load(tmp_path / "progress.jsonl")]
-    expected = dict(zip(CHECKPOINTS, errors, strict=True))
+    expected: dict[int, float] = dict(zip(CHECKPOINTS, errors, strict=True))
     assert lines == [(iteration, expected.get(iteration)) for iteration in range(ITERATIONS + 1)]
 
 
