@@ -8,13 +8,14 @@ there `prepare` is the first two, `tick` the rest, turned so that it begins with
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
 from qjrl.control import arm_estimate, motors, tip_correction
-from qjrl.control.observations import ACTION_HISTORY, ControlState, actor_observation, held_rotation_vectors
+from qjrl.control.observations import ACTION_HISTORY, ControlState, Gains, actor_observation, held_rotation_vectors
 from qjrl.control.sensors import MEMORY_SIZE, SETTLING, readings_at_the_end, remember
 from qjrl.robot.verbs import Robot
 
@@ -72,12 +73,20 @@ class Task:
     correction: jax.Array
     """(num_cables, 6), see `tip_correction.damped_pseudo_inverse`."""
     prior: arm_estimate.Prior
+    gains: Gains
 
 
 def task_of(config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array) -> Task:
     """The task of a target (9,) and the base controller's answer to it (num_cables,) [m]."""
     correction = tip_correction.damped_pseudo_inverse(robot, base_lengths)
-    return Task(target, base_lengths, correction, arm_estimate.prior(config.estimate, robot, base_lengths))
+    believed = arm_estimate.prior(config.estimate, robot, base_lengths)
+    return Task(target, base_lengths, correction, believed, gains_of(config, base_lengths.dtype))
+
+
+def gains_of(config: ControllerConfig, dtype: Any) -> Gains:
+    """The numbers in which the bases differ."""
+    numbers = config.integral.gain, config.dither.amplitude, config.estimate.acts
+    return Gains(*(jnp.asarray(number, dtype) for number in numbers))
 
 
 def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
@@ -86,11 +95,12 @@ def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
     residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
     readings = jnp.zeros((robot.num_segments, 2), zeros.dtype)
     return ControlState(
+        gains=task.gains,
         target=task.target,
         base_lengths=task.base_lengths,
         command=zeros,
         trend=zeros,
-        swing=jnp.asarray(config.dither.amplitude, zeros.dtype),  # friction holds an arm that hardly moves, too
+        swing=task.gains.dither.astype(zeros.dtype),  # friction holds an arm that hardly moves, too
         correction=task.correction,
         expected=task.prior.expected,
         covariance=task.prior.covariance,
@@ -119,9 +129,8 @@ def observation(config: ControllerConfig, robot: Robot, state: ControlState) -> 
 
 def own_action(config: ControllerConfig, state: ControlState) -> jax.Array:
     """What the controller does without a policy (action size,): what the tip lacks by the estimate, if that shall act."""
-    if not config.estimate.acts:
-        return jnp.zeros_like(state.residual)
-    return motors.action_of(config.residual, state.tip_error, state.correction).astype(state.residual.dtype)
+    wanted = motors.action_of(config.residual, state.tip_error, state.correction)
+    return (state.gains.estimate * wanted).astype(state.residual.dtype)
 
 
 def _estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> ControlState:
@@ -149,7 +158,7 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
     trend = motors.smoothed(config.dither, state.trend, added, period)
     moved = ramped - motors.ramped_base(robot, state.base_lengths, time - period) + trend - state.trend
     after = time - motors.ramp_time(robot, state.base_lengths)
-    swing = motors.next_swing(config.dither, state.swing, moved, after, period)
+    swing = motors.next_swing(config.dither, state.gains.dither, state.swing, moved, after, period)
     desired = ramped + added + motors.dither(config.dither, swing, state.base_lengths, after)
     lengths = motors.limit_speed(robot, state.command, motors.limit_lengths(robot, desired), period)
     actions = jnp.concatenate([action[None], state.actions[:-1]])
@@ -168,9 +177,9 @@ def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: 
         memory = jnp.broadcast_to(deviation, memory.shape)
     difference = tip_correction.tip_error(tip_correction.sensed_pose(robot, state.reading), state.target)
     moved = tip_correction.integrate(
-        config.integral, state.integral, state.correction, difference, config.control_period
+        config.integral, state.gains.integral, state.integral, state.correction, difference, config.control_period
     )
-    begins = config.dither.decay if config.dither.amplitude > 0.0 else 0.0
+    begins = jnp.where(state.gains.dither > 0.0, config.dither.decay, 0.0)
     acts = (ramped_in(config, robot, state) >= 1.0) & (waited(config, robot, state) >= begins)
     integral = jnp.where(acts, moved, state.integral).astype(state.integral.dtype)
     state = dataclasses.replace(state, memory=memory.astype(state.memory.dtype), integral=integral)

@@ -88,7 +88,9 @@ def tasks_of(config: EnvironmentConfig, robot: Robot, bank: Bank) -> Task:
     believed = priors(
         dataclasses.replace(config.estimate, acts=True), robot, bank.base_lengths
     )  # the same whether it acts
-    return Task(bank.target, bank.base_lengths, _corrections(robot, bank.base_lengths), believed)
+    gains = controller.gains_of(config.controller, bank.base_lengths.dtype)
+    of_rows = jax.tree.map(lambda number: jnp.broadcast_to(number, len(bank.target)), gains)
+    return Task(bank.target, bank.base_lengths, _corrections(robot, bank.base_lengths), believed, of_rows)
 
 
 @jax.jit

@@ -11,6 +11,7 @@ import numpy as np
 
 from qjrl.config import ConfigError
 from qjrl.control import episode
+from qjrl.control.bases import environment_of
 from qjrl.control.episode import Bank, EnvironmentConfig, tasks_of
 from qjrl.control.motors import action_size, ramp_time
 from qjrl.control.randomisation import RandomisationConfig
@@ -142,13 +143,18 @@ class _Compiled:
     observe: Callable[..., Any]
 
 
-@cache
 def _compiled(config: EnvironmentConfig) -> _Compiled:
+    """What tells bases apart are numbers of a task: all share what is compiled for the one that has nothing."""
+    return _compiled_once(environment_of(config, "nominal"))
+
+
+@cache
+def _compiled_once(config: EnvironmentConfig) -> _Compiled:
     """What is drawn matters to `begin` alone, but for the encoders' noise: other ranges compile nothing else again."""
     begin = jax.jit(jax.vmap(partial(episode.begin, config), in_axes=(None, None, 0, 0, 0)))
     same = RandomisationConfig(encoder_noise_deg=config.randomisation.encoder_noise_deg)
     if config.randomisation != same:
-        return dataclasses.replace(_compiled(dataclasses.replace(config, randomisation=same)), begin=begin)
+        return dataclasses.replace(_compiled_once(dataclasses.replace(config, randomisation=same)), begin=begin)
 
     def over_arms(function: Callable[..., Any]) -> Callable[..., Any]:
         return jax.jit(jax.vmap(partial(function, config), in_axes=(None, 0, 0)))

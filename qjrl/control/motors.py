@@ -66,11 +66,13 @@ def smoothed(config: DitherConfig, trend: jax.Array, added: jax.Array, period: f
     return trend + (1.0 - math.exp(-period / config.decay)) * (added - trend)
 
 
-def next_swing(config: DitherConfig, swing: jax.Array, moved: jax.Array, waited: jax.Array, period: float) -> jax.Array:
-    """Swing [m] one control period [s] later, a time [s] after the ramp's end: the cables (num_cables,) [m] were `moved`
-    by all but the dither."""
+def next_swing(
+    config: DitherConfig, amplitude: jax.Array, swing: jax.Array, moved: jax.Array, waited: jax.Array, period: float
+) -> jax.Array:
+    """Swing [m] one control period [s] later, a time [s] after the ramp's end, at most `amplitude` [m]: the cables
+    (num_cables,) [m] were `moved` by all but the dither."""
     grown = swing * math.exp(-period / config.decay) + config.growth * jnp.max(jnp.abs(moved))
-    return jnp.minimum(grown, config.amplitude * jnp.exp(-jnp.maximum(waited, 0.0) / config.lifetime))
+    return jnp.minimum(grown, amplitude * jnp.exp(-jnp.maximum(waited, 0.0) / config.lifetime))
 
 
 def dither(config: DitherConfig, swing: jax.Array, base_lengths: jax.Array, waited: jax.Array) -> jax.Array:

@@ -15,8 +15,22 @@ ACTION_HISTORY = 4
 
 
 @struct.dataclass
+class Gains:
+    """What tells the base controllers apart. Numbers, not constants: one compiled program serves all bases."""
+
+    integral: jax.Array
+    """Of integral feedback [1/s]."""
+    dither: jax.Array
+    """Largest swing of a cable [m]."""
+    estimate: jax.Array
+    """1: feedback from the estimate of the arm acts; 0: it does not."""
+
+
+@struct.dataclass
 class ControlState:
     """What the controller of one arm knows and carries from step to step."""
+
+    gains: Gains
 
     target: jax.Array
     """(9,) pose [m, -]."""

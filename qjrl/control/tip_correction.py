@@ -53,10 +53,15 @@ def sensed_pose(robot: Robot, reading: jax.Array) -> jax.Array:
 
 
 def integrate(
-    config: IntegralConfig, integral: jax.Array, correction: jax.Array, difference: jax.Array, period: float
+    config: IntegralConfig,
+    gain: jax.Array,
+    integral: jax.Array,
+    correction: jax.Array,
+    difference: jax.Array,
+    period: float,
 ) -> jax.Array:
-    """The integral (num_cables,) [m] one control period [s] later, from `tip_error` (6,)."""
-    moved = integral + config.gain * period * (correction @ difference)
+    """The integral (num_cables,) [m] one control period [s] later, with a gain [1/s], from `tip_error` (6,)."""
+    moved = integral + gain * period * (correction @ difference)
     return jnp.clip(moved, -config.bound, config.bound)
 
 

@@ -113,12 +113,21 @@ def test_the_dither_swings_first_against_the_way_the_cables_came():
 def test_the_swings_die_away_and_grow_by_what_moves_the_cables():
     config, still = motors.DitherConfig(amplitude=0.0005, growth=2.0, decay=0.2, lifetime=0.5), jnp.zeros(3)
     arrived = jnp.zeros(())
-    alone = motors.next_swing(config, jnp.array(4e-4), still, arrived, PERIOD)
+    alone = motors.next_swing(config, jnp.array(config.amplitude), jnp.array(4e-4), still, arrived, PERIOD)
     assert float(alone) == pytest.approx(4e-4 * np.exp(-PERIOD / 0.2), rel=1e-12)
-    moved = motors.next_swing(config, jnp.array(4e-4), jnp.array([1e-5, -2e-5, 0.0]), arrived, PERIOD)
+    moved = motors.next_swing(
+        config, jnp.array(config.amplitude), jnp.array(4e-4), jnp.array([1e-5, -2e-5, 0.0]), arrived, PERIOD
+    )
     assert float(moved - alone) == pytest.approx(2.0 * 2e-5, rel=1e-9)
     for waited, largest in ((-0.3, 0.0005), (0.0, 0.0005), (1.0, 0.0005 * np.exp(-2.0))):
-        swing = motors.next_swing(config, jnp.array(4e-4), jnp.array([0.0, 0.0006, 0.0]), jnp.array(waited), PERIOD)
+        swing = motors.next_swing(
+            config,
+            jnp.array(config.amplitude),
+            jnp.array(4e-4),
+            jnp.array([0.0, 0.0006, 0.0]),
+            jnp.array(waited),
+            PERIOD,
+        )
         assert float(swing) == pytest.approx(largest, rel=1e-12)
 
 

@@ -63,7 +63,7 @@ def test_the_sensed_pose_of_exact_encoders_is_the_kinematics():
 def test_the_integral_of_a_constant_difference_grows_by_the_gain_up_to_its_bound():
     config, correction = IntegralConfig(gain=2.0, bound=0.001), jnp.eye(8)[:, :6]
     difference = jnp.array([0.001, -0.002, 0.0, 0.0, 0.0, 0.0])
-    step = jax.jit(lambda integral: integrate(config, integral, correction, difference, 0.02))
+    step = jax.jit(lambda integral: integrate(config, jnp.array(config.gain), integral, correction, difference, 0.02))
     integral = jnp.zeros(8)
     for _ in range(10):
         integral = step(integral)
@@ -74,5 +74,5 @@ def test_the_integral_of_a_constant_difference_grows_by_the_gain_up_to_its_bound
 
 
 def test_no_gain_is_no_feedback():
-    integral = integrate(IntegralConfig(gain=0.0), jnp.zeros(8), jnp.ones((8, 6)), jnp.ones(6), 0.02)
+    integral = integrate(IntegralConfig(), jnp.array(0.0), jnp.zeros(8), jnp.ones((8, 6)), jnp.ones(6), 0.02)
     np.testing.assert_array_equal(integral, np.zeros(8))
