@@ -23,7 +23,7 @@ def _with_groups(content: dict[str, Any]) -> dict[str, Any]:
     for entry in content.get("defaults", []):
         for source, choice in entry.items() if isinstance(entry, dict) else ():
             group, _, key = source.lstrip("/").partition("@")
-            if key:
+            if key and not source.startswith("override "):  # of another group
                 content = {key: read_yaml(conf_folder() / group / f"{choice}.yaml")} | content
     return content
 

@@ -36,7 +36,7 @@ def controller_functions(config: ControllerConfig, robot: Robot, policy: Policy)
 
     def step(state: Mapping[str, Any], reading: jax.Array) -> Arrays:
         act = lambda observation: deterministic_action(policy, observation)  # noqa: E731
-        return _named(controller.tick(config, robot, act, ControlState(**state), reading))
+        return _named(controller.tick(config, robot, act, _state_of(config, state), reading))
 
     return ControllerFunctions(begin, step)
 
@@ -61,5 +61,16 @@ def checked_policy(config: ControllerConfig, robot: Robot, policy: Policy) -> Po
     return policy
 
 
+# Constants of the configuration, and what `tick` computes from the reading before anything asks for it.
+_LEFT_OUT = ("gains", "estimated", "tip_error")
+
+
 def _named(state: ControlState) -> Arrays:
-    return {field.name: getattr(state, field.name) for field in dataclasses.fields(state)}
+    names = [field.name for field in dataclasses.fields(state) if field.name not in _LEFT_OUT]
+    return {name: getattr(state, name) for name in names}
+
+
+def _state_of(config: ControllerConfig, arrays: Mapping[str, Any]) -> ControlState:
+    dtype, reading = arrays["command"].dtype, arrays["reading"]
+    gains = controller.gains_of(config, dtype)
+    return ControlState(gains=gains, estimated=jnp.zeros_like(reading), tip_error=jnp.zeros(6, dtype), **arrays)

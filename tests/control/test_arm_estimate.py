@@ -120,4 +120,5 @@ def test_the_controller_s_own_action_makes_up_for_that_and_only_if_it_shall(conf
     own = config.residual.bound * controller.own_action(config, state)
     np.testing.assert_allclose(own, state.tip_error, atol=1e-12)
     still = dataclasses.replace(config, estimate=dataclasses.replace(config.estimate, acts=False))
+    state = dataclasses.replace(state, gains=controller.gains_of(still, float))
     np.testing.assert_array_equal(controller.own_action(still, state), np.zeros(6))

@@ -22,7 +22,9 @@ def program() -> str:
         env, mesh = shared_env(), device_mesh()
         plan = make_plan(env, CONFIG, NUM_ENVS, 2, mesh)
         trainer = jax.eval_shape(functools.partial(begin, plan), env, np.uint32(0))
-        exported = jax.export.export(jax.jit(functools.partial(iterate, plan)), platforms=["cuda"])(env, trainer)
+        leaves, structure = jax.tree.flatten((env, trainer))
+        of_leaves = jax.jit(lambda leaves: iterate(plan, *jax.tree.unflatten(structure, leaves)))
+        exported = jax.export.export(of_leaves, platforms=["cuda"])(leaves)
     assert exported.platforms == ("cuda",)
     return exported.mlir_module()
 

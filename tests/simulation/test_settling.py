@@ -129,7 +129,9 @@ def test_an_unknown_backend_is_refused():
 def test_the_shipped_files_hold_the_defaults_and_name_their_engine():
     names = {field.name for field in dataclasses.fields(SettleConfig)}
     for path in (conf_folder() / "simulation").glob("*.yaml"):
-        values = {key: value for key, value in read_yaml(path).items() if key != "defaults"}  # Hydra's: the engine's group
+        values = {
+            key: value for key, value in read_yaml(path).items() if key != "defaults"
+        }  # Hydra's: the engine's group
         backend = path.stem.replace("_", "-")
         assert build(SettleConfig, values, "simulation") == dataclasses.replace(SettleConfig(), backend=backend)
         assert values.keys() == names

@@ -38,6 +38,7 @@ CONTROLLERS = {
 }  # fmt: skip
 CONFIGS = {
     "simulation": SettleConfig(batch_size=32),
+    "engine": EngineConfig(),
     "sample": SampleConfig(num_samples=40, shard_size=16),
     "forward_model": ForwardModelConfig(
         "corrected", NetworkConfig(16, 1, 1, zero_output=True), FitConfig(epochs=4, batch_size=16, evaluate_every=2)
