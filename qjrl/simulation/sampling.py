@@ -1,6 +1,5 @@
 """A data set of settled poses: low-discrepancy bends, their cable lengths, and where the physics rests."""
 
-import dataclasses
 import os
 import shutil
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest, remove_unfinished
-from qjrl.config import ConfigError, NotIdentity, Range
+from qjrl.config import ConfigError, NotIdentity, Range, configuration
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot
@@ -23,7 +22,7 @@ COPIES_IN_MEMORY = 3
 """Of each row, where a data set is used: the shards, their columns joined, and what a model is fitted on."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class SampleConfig:
     """Group `sample`."""
 

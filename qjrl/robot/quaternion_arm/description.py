@@ -1,6 +1,5 @@
 """What a quaternion-joint arm is: the values of its YAML, checked, and the pytree that the kinematics read."""
 
-import dataclasses
 import math
 from typing import Annotated, Literal
 
@@ -8,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 from qjrl.robot.unit_hints import length_hint
 
@@ -16,7 +15,7 @@ Positive = Range(above=0.0)
 NonNegative = Range(low=0.0)
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class JointConfig:
     """One quaternion joint: a crossed four-bar (antiparallelogram) between two plates."""
 
@@ -39,7 +38,7 @@ class JointConfig:
             )
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class CablesConfig:
     """Routing: one cable is a loop of two strands through opposite holes, driven by one motor."""
 
@@ -51,7 +50,7 @@ class CablesConfig:
     """The number each cable goes by on the machine, per segment."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MechanicsConfig:
     """Masses and passive forces; no field here is a solver setting."""
 
@@ -75,7 +74,7 @@ class MechanicsConfig:
     """Mass at the tip [kg]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class StrandsConfig:
     """A strand pulls and never pushes."""
 
@@ -93,7 +92,7 @@ class StrandsConfig:
     """Largest tension of a strand [N]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MotorsConfig:
     """One motor a cable."""
 
@@ -105,7 +104,7 @@ class MotorsConfig:
     """[m]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class QuaternionArmConfig:
     """The YAML of an arm (`kind: quaternion_arm`, `schema: 1`)."""
 
