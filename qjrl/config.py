@@ -180,7 +180,10 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
         return _tuple(value, kind, where)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         if isinstance(value, kind):  # made in Python
-            kind, value = type(value), {one.name: getattr(value, one.name) for one in dataclasses.fields(value) if one.init}
+            kind, value = (
+                type(value),
+                {one.name: getattr(value, one.name) for one in dataclasses.fields(value) if one.init},
+            )
         return build(kind, value, where)  # pyright: ignore[reportArgumentType]
     if origin is Literal and any(value == choice and type(value) is type(choice) for choice in arguments):
         return value

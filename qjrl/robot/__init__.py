@@ -5,8 +5,9 @@ a_k = sin(theta_k/2) (cos phi_k, sin phi_k), shape (num_segments, 2). Every verb
 """
 
 from qjrl.robot.loading import load_robot, robot_from_mapping, robot_hash
-from qjrl.robot.quaternion_arm.joint import bends_from_angles, bends_from_pose
+from qjrl.robot.quaternion_arm.joint import bends_from_pose
 from qjrl.robot.verbs import (
+    bends_from_angles,
     bends_from_cables,
     build_mjcf,
     cable_lengths,

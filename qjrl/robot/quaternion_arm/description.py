@@ -228,6 +228,11 @@ class QuaternionArm:
         return sum(self.joints_per_segment)
 
     @property
+    def num_positions(self) -> int:
+        """Joint positions of the MJCF: four half angles a joint, and a slide where it rolls."""
+        return self.num_joints * (5 if self.joint_model == "rolling" else 4)
+
+    @property
     def num_cables(self) -> int:
         return 2 * self.num_segments
 
