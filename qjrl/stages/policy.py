@@ -15,6 +15,7 @@ from qjrl.measured import read_progress
 from qjrl.records import NUMBER, check_record
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 
@@ -41,7 +42,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `checkpoints/`, `progress.jsonl`, `bare_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
     robot = robot_from_mapping(config.robot)
-    targets = artifacts.load(inputs["ik"] / "bank.npz")
+    targets = read_targets(inputs["ik"] / "bank.npz")
     trained = train_policy(robot, config.simulation, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return
