@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 from qjrl import machine, shipped
 from qjrl.config import ConfigError, Range, build, configuration, known_names, unknown_key
+from qjrl.field_words import show
 from qjrl.stage import Stage, alone_in, check_robot, robot_hash_of, run_part, run_stage, run_together
 
 STAGES: dict[str, Stage] = {
@@ -168,7 +169,7 @@ def check_name(name: Any) -> str:
     )
     if not is_fine or not name.isprintable():
         raise ConfigError(
-            f"name: got {' '.join(repr(name).split())[:80]}, allowed: the name of a directory, or of one below another as in a/b"
+            f"name: got {show(name)}, allowed: the name of a directory, below 240 bytes, or of one below another as in a/b"
         )
     return name
 

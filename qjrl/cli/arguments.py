@@ -16,7 +16,7 @@ _CHOICES = {
     **dict.fromkeys(["--cfg", "-c"], ("job", "hydra", "all")),
     **dict.fromkeys(["--info", "-i"], ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
 }
-_TEXTS = ("name",)
+TEXTS = ("name",)
 """Keys whose values are texts: ``name=2024`` and ``name=O'Brien`` need no quotes."""
 _FILES = (".csv", ".json", ".jsonl", ".npz", ".yaml", ".yml")
 
@@ -87,7 +87,7 @@ def for_hydra(override: str) -> str:
         return override
     if value.endswith(_FILES) and is_file(value):
         return f"{key}={quoted(value.replace('${', chr(92) + '${'))}"
-    if key in _TEXTS and value and not (set(value) & set(",[]{}()$") or value[0] in "'\""):
+    if key in TEXTS and value and not (set(value) & set(",[]{}()$") or value[0] in "'\""):
         return f"{key}={quoted(value)}"
     if value.isascii() or set(value) & set("'\"{}\\$"):
         return override
