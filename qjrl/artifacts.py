@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from qjrl import machine, plain_json
-from qjrl.records import ArtifactError, Kinds, check_names, check_record
+from qjrl.records import ArtifactError, Kinds, check_names, check_record, reason_of
 
 DATASET_FORMAT = 1
 DONE = "done.json"
@@ -156,8 +156,7 @@ def load(path: str | Path, robot_hash: str | None = None) -> Any:
     except Exception as error:  # damaged bytes make zipfile, NumPy and json raise almost anything
         if isinstance(error, OSError) and not machine.is_of_input(error):
             raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason})") from error
+        raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason_of(error)})") from error
 
 
 def load_columns(path: str | Path, names: Collection[str], what: str) -> dict[str, np.ndarray]:

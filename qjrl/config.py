@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, NoReturn, Union, dataclass_transform
 
 from qjrl import machine, plain_yaml
 from qjrl.field_words import Range, describe, known_names, show
+from qjrl.text_file import NotUTF8, read_text
 
 
 class ConfigError(ValueError):
@@ -122,12 +123,14 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         OSError: the disk or the rights are at fault.
     """
     try:
-        content = plain_yaml.load(Path(path).read_text(encoding="utf-8-sig"))
+        content = plain_yaml.load(read_text(path))
     except OSError as error:
         if not machine.is_of_input(error):
             raise
         raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a YAML file") from error
-    except ValueError as error:  # of plain_yaml, of the encoding, of a path with a zero byte
+    except NotUTF8 as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except ValueError as error:  # of plain_yaml, of a path with a zero byte
         raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: holds {show(content)}, expected a mapping of keys to values")

@@ -155,7 +155,7 @@ def test_yaml_numbers_with_an_exponent_are_numbers(tmp_path) -> None:
         (None, "cannot be read"),
         ("a: [1", "is not YAML"),
         ("- 1", "expected a mapping"),
-        (b"\xff\xfe\x00", "is not YAML"),
+        (b"\xff\xfe\x00", "UTF-16, allowed: UTF-8; save it as UTF-8"),
     ],
 )
 def test_a_yaml_file_that_cannot_be_used_is_one_line(tmp_path, content, message) -> None:
