@@ -138,12 +138,16 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
 
 
 def read_literal_yaml(path: str | Path) -> dict[str, Any]:
-    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations.
+    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations. ~ is the
+    home directory.
 
     Raises:
         ConfigError: see `read_yaml`; or the file has a defaults list or an interpolation such as ``${name}``.
     """
-    content = read_yaml(path)
+    try:
+        content = read_yaml(Path(path).expanduser())
+    except RuntimeError as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
     if "defaults" in content:
         raise ConfigError(f"{path}: defaults: got a list of files to build on, allowed: the values themselves")
     waiting: list[tuple[str, Any]] = [("", content)]
@@ -155,6 +159,16 @@ def read_literal_yaml(path: str | Path) -> dict[str, Any]:
         elif isinstance(value, str) and ("${" in value or value == "???"):
             raise ConfigError(f"{path}: {where}: got {show(value)}, allowed: the value itself, no ${{...}} and no ???")
     return content
+
+
+def is_yaml(name: str) -> bool:
+    """Whether a name is that of a YAML file, by its end."""
+    return name.lower().endswith((".yaml", ".yml"))
+
+
+def in_file(name: str, error: ConfigError) -> ConfigError:
+    """The error of a robot's value with the file that holds it; any other as it is."""
+    return ConfigError(f"{name}: {error}") if str(error).startswith(("robot.", "robot:")) else error
 
 
 def conf_folder() -> Path:

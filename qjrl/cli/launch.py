@@ -14,7 +14,7 @@ from qjrl.cli import hydra_errors, names, outcome, process, sweeps
 from qjrl.cli.robot_files import as_typed, with_robot_files
 from qjrl.cli.sweeps import Job
 from qjrl.cli.values import checked
-from qjrl.config import conf_folder
+from qjrl.config import ConfigError, conf_folder, in_file
 from qjrl.machine import MachineError
 
 
@@ -98,7 +98,8 @@ def _recorded_run(cfg: Any, job: Job) -> str:
         together = (
             run_dir if job.sweep is None else sweeps.directory_of_all_parts(job, run_dir, about.sweep.dir, overrides)
         )
-        record["status"], record["error"] = outcome.tell(problem) if problem else run_stages(tree, together)
+        file = _file_of_robot(job, typed, str(about.runtime.choices.get("robot")))
+        record["status"], record["error"] = outcome.tell(problem) if problem else run_stages(tree, together, file)
     return record["status"]
 
 
@@ -118,15 +119,26 @@ def _index(tree: dict[str, Any]) -> Any:
     return processes.get("index") if isinstance(processes, dict) else None
 
 
-def run_stages(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
-    """Runs the stages. Returns the status and the line that explains it, already printed."""
+def _file_of_robot(job: Job, overrides: list[str], choice: str) -> str | None:
+    """The user's file that all values of the robot come from; None where the command changes some of them."""
+    changes = any(override.lstrip("+~").startswith("robot.") for override in overrides)
+    return None if changes else job.files.get(choice)
+
+
+def run_stages(tree: dict[str, Any], run_dir: Path, robot_file: str | None = None) -> tuple[str, str | None]:
+    """Runs the stages. Returns the status and the line that explains it, already printed.
+
+    Args:
+        robot_file: the user's, which errors of the robot's values name.
+    """
     try:
         selected = pipeline.selected(tree)
         pipeline.meet(tree)
         progress.console.print(f"{', '.join(selected)} -> {run_dir}", markup=False)
         pipeline.run(selected, pipeline.build_needed(tree, selected), run_dir)
     except Exception as error:
-        return outcome.tell(error)
+        is_of_file = robot_file is not None and isinstance(error, ConfigError)
+        return outcome.tell(in_file(robot_file, error) if is_of_file else error)
     report = run_dir / "compare" / "report.html"
     progress.console.print(f"done: {report if 'compare' in selected and report.exists() else run_dir}", markup=False)
     return "done", None

@@ -8,11 +8,14 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range, configuration
+from qjrl.field_words import show
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 from qjrl.robot.unit_hints import length_hint
 
 Positive = Range(above=0.0)
 NonNegative = Range(low=0.0)
+LONGEST_NAME = 100
+"""Letters; reports and file formats carry it."""
 
 
 @configuration
@@ -122,6 +125,8 @@ class QuaternionArmConfig:
     motors: MotorsConfig
 
     def __post_init__(self):
+        if not (self.name.strip() and self.name.isprintable() and len(self.name) <= LONGEST_NAME):
+            raise ValueError(f"name: got {show(self.name)}, allowed: a text on one line, up to {LONGEST_NAME} letters")
         num_segments = len(self.joints_per_segment)
         if num_segments == 0:
             raise ValueError("joints_per_segment: got [], allowed: at least one segment")
