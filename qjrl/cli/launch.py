@@ -137,8 +137,9 @@ def run_stages(tree: dict[str, Any], run_dir: Path, robot_file: str | None = Non
         progress.console.print(f"{', '.join(selected)} -> {run_dir}", markup=False)
         pipeline.run(selected, pipeline.build_needed(tree, selected), run_dir)
     except Exception as error:
-        is_of_file = robot_file is not None and isinstance(error, ConfigError)
-        return outcome.tell(in_file(robot_file, error) if is_of_file else error)
+        if robot_file is not None and isinstance(error, ConfigError):
+            error = in_file(robot_file, error)
+        return outcome.tell(error)
     report = run_dir / "compare" / "report.html"
     progress.console.print(f"done: {report if 'compare' in selected and report.exists() else run_dir}", markup=False)
     return "done", None

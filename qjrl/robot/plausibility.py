@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from qjrl.config import ConfigError
 from qjrl.robot.kinds import Robot, verb
@@ -36,7 +37,7 @@ def real_numbers(value: Any, where: str) -> Any:
     if isinstance(value, np.ma.MaskedArray):
         raise ConfigError(f"{where}: got a masked array, allowed: real numbers; leave the masked rows out")
     try:
-        is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+        is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
         array = value if hasattr(value, "dtype") else jnp.asarray(value) if is_traced else np.asarray(value)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{where}: got rows of unequal length, allowed: an array of real numbers") from error
@@ -121,7 +122,7 @@ def check_angles(angles: Any, where: str) -> None:
 
 def _is_traced(*values: Any) -> bool:
     """Whether JAX knows no numbers of them yet."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
 def straight_length(robot: Robot) -> float:

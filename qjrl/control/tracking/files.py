@@ -16,12 +16,13 @@ from qjrl.table_file import Layout, Quantity, read_table
 
 _AXES, _COLUMNS = ("x", "y", "z"), ("xx", "xy", "xz", "yx", "yy", "yz")
 _NOTE = ", of the 3 x 3 matrix the first column, then the second"
+_POSE_NOTE = ", position, then of the 3 x 3 matrix the first column, then the second"
 POSITION = Quantity("position", _AXES, "m")
 QUATERNION = Quantity("quaternion", ("qw", "qx", "qy", "qz"), note=", w first")
 """Without names, in an NPZ, w comes first."""
 ROTATION = Quantity("rotation", _COLUMNS, note=_NOTE)
 """The first two columns of the rotation."""
-POSE = Quantity("pose", ("pose x", "pose y", "pose z", *_COLUMNS), note=_NOTE)
+POSE = Quantity("pose", ("pose x", "pose y", "pose z", *_COLUMNS), note=_POSE_NOTE)
 """Of an NPZ: position and rotation in one array."""
 POSE_LAYOUTS: tuple[Layout, ...] = ((POSITION,), (POSITION, QUATERNION), (POSITION, ROTATION), (POSE,))
 ALLOWED_COLUMNS = f"{','.join(_AXES)} [m], alone or with {','.join(QUATERNION.columns)} or with {','.join(_COLUMNS)}"
