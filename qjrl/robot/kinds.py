@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+from qjrl.config import ConfigError
+from qjrl.field_words import show
 from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf, statics
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 
@@ -26,12 +28,20 @@ VERBS: dict[str, dict[str, Callable[..., Any]]] = {
 }
 
 
+def require_robot(robot: Any) -> None:
+    """Raises a ConfigError where something else, such as a name, stands for a robot."""
+    if not isinstance(robot, Robot):
+        raise ConfigError(f"robot: got {show(robot)}, allowed: what load_robot returns")
+
+
 def verb(robot: Robot, name: str) -> Callable[..., Any]:
     """The function of a robot's kind.
 
     Raises:
+        ConfigError: it is no robot.
         ValueError: the kind does not offer it.
     """
+    require_robot(robot)
     if name not in VERBS[robot.kind]:
         raise ValueError(f"robot kind {robot.kind}: offers no {name}, it offers {', '.join(VERBS[robot.kind])}")
     return VERBS[robot.kind][name]

@@ -19,6 +19,9 @@ def load_robot(name_or_path: str | Path) -> QuaternionArm:
     Raises:
         ConfigError: no such robot, or a value in the file that is not allowed; one line.
     """
+    if not isinstance(name_or_path, (str, Path)):
+        hint = "; robot_from_mapping takes a mapping" if isinstance(name_or_path, Mapping) else ""
+        raise ConfigError(f"robot: got {show(name_or_path)}, allowed: a shipped name or the path of a .yaml file{hint}")
     name = str(name_or_path)
     if not is_yaml(name):
         folder = conf_folder() / "robot"
@@ -40,6 +43,8 @@ def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
     Raises:
         ConfigError: unknown kind or key, wrong type, impossible value; one line.
     """
+    if not isinstance(mapping, Mapping):
+        raise ConfigError(f"robot: got {show(mapping)}, allowed: a mapping, as the YAML of a robot holds it")
     if "kind" not in mapping and isinstance(mapping.get("robot"), Mapping):
         raise ConfigError(
             "robot.robot: got a mapping, allowed: its keys themselves at the top, without robot: above them"

@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 
 from qjrl.config import ConfigError
-from qjrl.robot.kinds import Robot, verb
+from qjrl.robot.kinds import Robot, require_robot, verb
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.unit_hints import bend_hint, length_hint
 
@@ -43,7 +43,7 @@ def real_numbers(value: Any, where: str) -> Any:
         raise ConfigError(f"{where}: got rows of unequal length, allowed: an array of real numbers") from error
     if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
         raise ConfigError(f"{where}: got {array.dtype.name} values, allowed: real numbers")
-    return array
+    return array.astype(np.float64) if array.dtype.itemsize > 8 else array  # JAX has no wider ones
 
 
 def one_sample(value: Any, shape: tuple[int, ...], where: str) -> jax.Array:
@@ -72,6 +72,7 @@ def one_configuration(robot: Robot, value: Any) -> jax.Array:
     Raises:
         ConfigError: see `one_sample`; or a bend of 180 degrees and more.
     """
+    require_robot(robot)
     bends = one_sample(value, (robot.num_segments, 2), "configuration")
     if _is_traced(bends):
         return bends
@@ -91,6 +92,7 @@ def one_of_lengths(robot: Robot, value: Any) -> jax.Array:
     Raises:
         ConfigError: see `one_sample` and `check_cable_lengths`.
     """
+    require_robot(robot)
     lengths = one_sample(value, (robot.num_cables,), "lengths")
     if not _is_traced(lengths, robot):
         check_cable_lengths(robot, np.asarray(lengths)[None], "lengths")
@@ -103,6 +105,7 @@ def one_of_positions(robot: Robot, value: Any) -> jax.Array:
     Raises:
         ConfigError: see `one_sample`.
     """
+    require_robot(robot)
     return one_sample(value, (robot.num_positions,), "positions")
 
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from qjrl.robot.kinds import Robot
 from qjrl.robot.kinds import verb as _verb
-from qjrl.robot.plausibility import check_angles, one_configuration, one_of_lengths, one_of_positions
+from qjrl.robot.plausibility import check_angles, one_configuration, one_of_lengths, one_of_positions, one_sample
 from qjrl.robot.quaternion_arm import joint, statics
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.quaternion_arm.statics import Equilibrium
@@ -79,6 +79,11 @@ def bends_from_angles(direction: Any, angle: Any) -> jax.Array:
     """Bends (..., 2) from bend direction phi and bend angle theta (...,) [rad], theta up to 180 degrees."""
     check_angles(angle, "angle")
     return joint.bends_from_angles(jnp.asarray(direction), jnp.asarray(angle))
+
+
+def bends_from_pose(joint_pose: jax.Array) -> jax.Array:
+    """Bend (2,) of one joint from the pose (9,) of its upper plate in the lower one's frame [m, -]."""
+    return joint.bends_from_pose(one_sample(joint_pose, (9,), "joint_pose"))
 
 
 def build_mjcf(robot: Robot, options: SolverOptions = SolverOptions()) -> str:

@@ -8,7 +8,10 @@ import jax
 import numpy as np
 from flax import struct
 
+from qjrl.config import ConfigError
+from qjrl.field_words import show
 from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.robot.kinds import require_robot
 from qjrl.robot.plausibility import check_cable_lengths, real_numbers
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
@@ -75,7 +78,10 @@ def settle(
     Raises:
         ValueError: wrong shape, non-finite lengths or such as no cable of the robot can have, unknown backend.
     """
-    config = config or SettleConfig()
+    require_robot(robot)
+    config = SettleConfig() if config is None else config
+    if not isinstance(config, SettleConfig):
+        raise ConfigError(f"config: got {show(config)}, allowed: a SettleConfig")
     if backend is not None:
         if backend not in get_args(Backend):
             raise ValueError(f"backend: got {backend!r}, allowed: {', '.join(get_args(Backend))}")

@@ -9,6 +9,7 @@ from flax import struct
 
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.kinds import require_robot
 from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions, real_numbers
 from qjrl.robot.verbs import Robot, bends_from_cables, strand_tension
 
@@ -57,6 +58,7 @@ def check_targets(robot: Robot, targets) -> np.ndarray:
         ValueError: wrong shape, non-finite values, columns that are not those of a rotation, or a position so far away that
             there is no sense in the nearest answer.
     """
+    require_robot(robot)
     targets = np.asarray(real_numbers(targets, "targets"), np.float64)
     if targets.ndim != 2 or targets.shape[1] != 9 or len(targets) == 0:
         raise ValueError(

@@ -1,6 +1,7 @@
 """Numbers in another unit are refused where they enter, and the unit is named; what an arm can have is let through."""
 
 import dataclasses
+import inspect
 from typing import Any
 
 import jax
@@ -23,6 +24,7 @@ from qjrl.robot import (
     strand_lengths,
     strand_tension,
 )
+from qjrl.robot.kinds import require_robot
 from qjrl.robot.plausibility import check_cable_lengths, check_positions, one_sample, straight_length
 from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation import settle
@@ -236,3 +238,10 @@ def test_random_bends_are_refused_exactly_from_180_degrees_on():
             assert np.isfinite(forward_kinematics(ARM, bends)).all()
         else:
             refused("allowed: below 1", forward_kinematics, ARM, bends)
+
+
+def test_what_is_no_robot_is_one_line():
+    """Where no checker of types stands before the functions, as it does in these tests."""
+    refused("robot: got 'qj_22', allowed: what load_robot returns", require_robot, "qj_22")
+    refused("robot: got [1], allowed: a mapping", inspect.unwrap(robot_from_mapping), [1])
+    assert one_sample(np.zeros(2, np.longdouble), (2,), "here").dtype == np.float64
