@@ -9,7 +9,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from qjrl import machine, plain_json
-from qjrl.records import ArtifactError, Kinds, check_record
+from qjrl.records import ArtifactError, Kinds, check_names, check_record, reason_of
 
 DATASET_FORMAT = 1
 DONE = "done.json"
@@ -156,8 +156,16 @@ def load(path: str | Path, robot_hash: str | None = None) -> Any:
     except Exception as error:  # damaged bytes make zipfile, NumPy and json raise almost anything
         if isinstance(error, OSError) and not machine.is_of_input(error):
             raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason})") from error
+        raise ArtifactError(f"{path}: is truncated or not a {path.suffix} file ({reason_of(error)})") from error
+
+
+def load_columns(path: str | Path, names: Collection[str], what: str) -> dict[str, np.ndarray]:
+    """The arrays of an ``.npz``, with the `names` that are needed and as many rows of each; raises as `load` does."""
+    arrays = load(path)
+    check_names(path, arrays, names, what)
+    if len({np.shape(arrays[name])[:1] for name in names}) != 1:
+        raise ArtifactError(f"{path}: is not {what} (its columns have different numbers of rows); it is damaged")
+    return arrays
 
 
 def load_or_make(path: str | Path, make: Callable[[], Mapping[str, Any]]) -> dict[str, np.ndarray]:
@@ -251,7 +259,10 @@ def _load_checkpoint(directory: Path) -> Any:
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
     with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+        arrays = {name: archive[name] for name in archive.files}
+    if texts := [name for name, array in arrays.items() if not isinstance(array, np.ndarray)]:
+        raise ValueError(f"{', '.join(texts)} is no array")
+    return arrays
 
 
 def _read_json(path: Path) -> Any:

@@ -2,46 +2,45 @@
 
 The dataclass beside the code holds meaning, unit, range and default of every field; the YAML files hold values.
 Field types: int, float, str, bool, Path, dict (left as it is), Literal, tuple, nested dataclasses, ``X | None``,
-and ``Annotated[T, Range(...)]`` for bounds.
+and ``Annotated[T, Range(...)]`` for bounds. A class made by `configuration` holds its values against them wherever it is
+made: from YAML, from the command, in Python.
 """
 
 import dataclasses
-import difflib
 import functools
-import math
 import re
 import sys
 import types
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NoReturn, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 from qjrl import machine, plain_yaml
+from qjrl.field_words import Range, describe, known_names, show
+from qjrl.text_file import NotUTF8, read_text
 
 
 class ConfigError(ValueError):
     """A value of the configuration is not allowed. The message is the one line a user reads."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Range:
-    """Bounds of a number, both included unless said otherwise: ``Annotated[float, Range(0, 1)]``."""
+@dataclass_transform(frozen_default=True)
+def configuration[T](cls: type[T]) -> type[T]:
+    """Makes a frozen dataclass that refuses what its field types do not allow, whoever makes it.
 
-    low: float = -math.inf
-    high: float = math.inf
-    above: float = -math.inf
-    """Lower bound, itself excluded."""
-    below: float = math.inf
-    """Upper bound, itself excluded."""
+    A list becomes the tuple and a NumPy number the plain number that the field asks for. `__post_init__` comes afterwards.
+    """
+    check = cls.__dict__.get("__post_init__", lambda self: None)
 
-    def __contains__(self, number: float) -> bool:
-        return self.low <= number <= self.high and self.above < number < self.below
+    def hold_values(self: Any) -> None:
+        kinds = _kinds(cls)
+        for field in dataclasses.fields(self):
+            value = _convert(getattr(self, field.name), kinds[field.name], f"{cls.__name__}.{field.name}")
+            object.__setattr__(self, field.name, value)
+        check(self)
 
-    def __str__(self) -> str:
-        if math.isfinite(self.low) and math.isfinite(self.high):
-            return f"from {self.low:.12g} to {self.high:.12g}"
-        bounds = (("at least", self.low), ("above", self.above), ("at most", self.high), ("below", self.below))
-        return " and ".join(f"{word} {bound:.12g}" for word, bound in bounds if math.isfinite(bound))
+    cls.__post_init__ = hold_values  # pyright: ignore[reportAttributeAccessIssue]
+    return dataclasses.dataclass(frozen=True)(cls)
 
 
 def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
@@ -55,7 +54,7 @@ def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
     """
     if not isinstance(mapping, Mapping):
         _refuse(where, mapping, describe(cls))
-    kinds = get_type_hints(cls, include_extras=True)
+    kinds = _kinds(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # pyright: ignore[reportArgumentType]
     for key in mapping:
         if key not in fields:
@@ -104,9 +103,15 @@ def _plain(value: Any, is_left_out: Callable[[Any, list[NotIdentity]], bool]) ->
 
 
 @functools.cache
+def _kinds(cls: type) -> dict[str, Any]:
+    """Field name -> its type, bounds included."""
+    return get_type_hints(cls, include_extras=True)
+
+
+@functools.cache
 def _marks(cls: type) -> dict[str, list[NotIdentity]]:
     """Field name -> its marks."""
-    kinds = get_type_hints(cls, include_extras=True)
+    kinds = _kinds(cls)
     return {name: [mark for mark in get_args(kind) if isinstance(mark, NotIdentity)] for name, kind in kinds.items()}
 
 
@@ -118,25 +123,31 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         OSError: the disk or the rights are at fault.
     """
     try:
-        content = plain_yaml.load(Path(path).read_text(encoding="utf-8-sig"))
+        content = plain_yaml.load(read_text(path))
     except OSError as error:
         if not machine.is_of_input(error):
             raise
         raise ConfigError(f"{path}: cannot be read ({error.strerror}), expected a YAML file") from error
-    except ValueError as error:  # of plain_yaml, of the encoding, of a path with a zero byte
+    except NotUTF8 as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    except ValueError as error:  # of plain_yaml, of a path with a zero byte
         raise ConfigError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(content, dict):
-        raise ConfigError(f"{path}: holds {_show(content)}, expected a mapping of keys to values")
+        raise ConfigError(f"{path}: holds {show(content)}, expected a mapping of keys to values")
     return content
 
 
 def read_literal_yaml(path: str | Path) -> dict[str, Any]:
-    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations.
+    """`read_yaml` of a file that holds values only: the same for every reader, whoever composes configurations. ~ is the
+    home directory.
 
     Raises:
         ConfigError: see `read_yaml`; or the file has a defaults list or an interpolation such as ``${name}``.
     """
-    content = read_yaml(path)
+    try:
+        content = read_yaml(Path(path).expanduser())
+    except RuntimeError as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from error
     if "defaults" in content:
         raise ConfigError(f"{path}: defaults: got a list of files to build on, allowed: the values themselves")
     waiting: list[tuple[str, Any]] = [("", content)]
@@ -146,8 +157,18 @@ def read_literal_yaml(path: str | Path) -> dict[str, Any]:
             items = value.items() if isinstance(value, dict) else enumerate(value)
             waiting += [(_join(where, key), item) for key, item in items] + [(where, str(key)) for key, _ in items]
         elif isinstance(value, str) and ("${" in value or value == "???"):
-            raise ConfigError(f"{path}: {where}: got {_show(value)}, allowed: the value itself, no ${{...}} and no ???")
+            raise ConfigError(f"{path}: {where}: got {show(value)}, allowed: the value itself, no ${{...}} and no ???")
     return content
+
+
+def is_yaml(name: str) -> bool:
+    """Whether a name is that of a YAML file, by its end."""
+    return name.lower().endswith((".yaml", ".yml"))
+
+
+def in_file(name: str, error: ConfigError) -> ConfigError:
+    """The error of a robot's value with the file that holds it; any other as it is."""
+    return ConfigError(f"{name}: {error}") if str(error).startswith(("robot.", "robot:")) else error
 
 
 def conf_folder() -> Path:
@@ -159,48 +180,14 @@ def conf_folder() -> Path:
 def unknown_key(where: str, value: Any, known: Collection[Any]) -> ConfigError:
     """The error for a key that does not exist: what does exist, and what was probably meant."""
     names = known_names(where.rpartition(".")[2], known)
-    return ConfigError(f"{where}: got {_show(value)}, but there is no such key; {names}")
-
-
-def known_names(name: str, known: Collection[Any]) -> str:
-    """``did you mean 'sample'? known: compare, ik, sample``."""
-    names = [str(item) for item in known]
-    close = difflib.get_close_matches(name, names, n=1)
-    return (f"did you mean '{close[0]}'? " if close else "") + f"known: {', '.join(names) or 'none'}"
-
-
-def describe(kind: Any) -> str:
-    """What a field type allows, in words: ``a number from 0 to 1 or null``."""
-    origin, arguments = get_origin(kind), get_args(kind)
-    if origin is Annotated:
-        bounds = [str(bound) for bound in arguments[1:] if isinstance(bound, Range)]
-        return " ".join([describe(arguments[0]), *bounds])
-    if origin is Literal:
-        return "one of " + ", ".join(str(choice) for choice in arguments)
-    if origin in (Union, types.UnionType):
-        return " or ".join(describe(option) for option in arguments)
-    if origin is tuple and arguments[-1] is Ellipsis:
-        return f"a list, each {describe(arguments[0])}"
-    if origin is tuple:
-        return f"a list of {len(arguments)}: {', '.join(describe(item) for item in arguments)}"
-    if dataclasses.is_dataclass(kind):
-        return f"a mapping with the keys {', '.join(field.name for field in dataclasses.fields(kind) if field.init)}"
-    return _WORDS.get(origin or kind, str(kind))
-
-
-_WORDS: dict[Any, str] = {
-    int: "an integer",
-    float: "a finite number",
-    str: "a text",
-    bool: "true or false",
-    Path: "a path",
-    dict: "a mapping",
-    types.NoneType: "null",
-}
+    return ConfigError(f"{where}: got {show(value)}, but there is no such key; {names}")
 
 
 def _convert(value: Any, kind: Any, where: str) -> Any:
     """`value` as the type `kind`, or a ConfigError."""
+    value = (
+        value.tolist() if hasattr(value, "tolist") else value
+    )  # of NumPy and JAX: the plain number, or lists of them
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _bounded(value, kind, where)
@@ -208,7 +195,12 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
         return _one_of(value, kind, where)
     if origin is tuple:
         return _tuple(value, kind, where)
-    if dataclasses.is_dataclass(kind):
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if isinstance(value, kind):  # made in Python
+            kind, value = (
+                type(value),
+                {one.name: getattr(value, one.name) for one in dataclasses.fields(value) if one.init},
+            )
         return build(kind, value, where)  # pyright: ignore[reportArgumentType]
     if origin is Literal and any(value == choice and type(value) is type(choice) for choice in arguments):
         return value
@@ -271,11 +263,4 @@ def _placed(text: str, where: str, fields: Collection[str]) -> str:
 
 
 def _refuse(where: str, value: Any, allowed: str, cause: Exception | None = None) -> NoReturn:
-    raise ConfigError(f"{where or 'configuration'}: got {_show(value)}, allowed: {allowed}") from cause
-
-
-def _show(value: Any) -> str:
-    """The value as a user would recognise it, on one line, at most 80 characters."""
-    names = {None: "null", True: "true", False: "false"}
-    text = names[value] if value is None or isinstance(value, bool) else " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+    raise ConfigError(f"{where or 'configuration'}: got {show(value)}, allowed: {allowed}") from cause

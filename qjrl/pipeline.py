@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from qjrl import machine, shipped
-from qjrl.config import ConfigError, Range, build, known_names, unknown_key
+from qjrl.config import ConfigError, Range, build, configuration, known_names, unknown_key
+from qjrl.field_words import show
 from qjrl.stage import Stage, alone_in, check_robot, robot_hash_of, run_part, run_stage, run_together
 
 STAGES: dict[str, Stage] = {
@@ -112,7 +113,7 @@ SHARED = ("policy",)
 """Stages that several processes can run together."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ProcessesConfig:
     """Processes, on as many machines, that run one stage together by JAX's distributed runtime."""
 
@@ -132,7 +133,7 @@ class ProcessesConfig:
             raise ValueError(f"coordinator: got '{self.coordinator}', allowed: HOST:PORT, for a count of {self.count}")
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class RunConfig:
     """The top-level keys that belong to the run and to no stage."""
 
@@ -168,7 +169,7 @@ def check_name(name: Any) -> str:
     )
     if not is_fine or not name.isprintable():
         raise ConfigError(
-            f"name: got {' '.join(repr(name).split())[:80]}, allowed: the name of a directory, or of one below another as in a/b"
+            f"name: got {show(name)}, allowed: the name of a directory, below 240 bytes, or of one below another as in a/b"
         )
     return name
 

@@ -30,6 +30,13 @@ def check_record(path: Any, record: Any, kinds: Kinds, what: str) -> dict[str, A
     return record
 
 
+def reason_of(error: BaseException) -> str:
+    """Why bytes cannot be read, on one line; NumPy's advice to trust pickled data is none for a user."""
+    if "pickle" in str(error):
+        return "its bytes are none of NumPy's arrays, or hold Python objects"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def holds_numbers(record: Any) -> bool:
     """Whether it is a mapping with numbers, or null, as all of its values."""
     return isinstance(record, dict) and _wrong(record, dict.fromkeys(record, NUMBER), "") is None

@@ -6,7 +6,6 @@ where the names are numbers (`3,7,1,5` for four cables) and it names every colum
 arrays of other names are let be.
 """
 
-import csv
 import dataclasses
 import re
 import zipfile
@@ -16,12 +15,22 @@ from pathlib import Path
 import numpy as np
 
 from qjrl.config import ConfigError
+from qjrl.csv_rows import NUMBER, rows_of
+from qjrl.records import reason_of
 
 FILE_KINDS = (".csv", ".npz")
 
 _UNIT = re.compile(r"^(.*?)(?:\s*[\[(]\s*([^\])]*?)\s*[\])]|[_\s](mm|cm|dm|km|um|µm|nm|m|inch|in|ft|deg|rad|s|ms))$")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_BRACKETS = re.compile(r"\s*[\[(][^\])]*[\])]")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_FACTORS = {
+    ("mm", "m"): "; divide by 1,000",
+    ("cm", "m"): "; divide by 100",
+    ("in", "m"): "; multiply by 0.0254",
+    ("inch", "m"): "; multiply by 0.0254",
+    ("ft", "m"): "; multiply by 0.3048",
+    ("deg", "rad"): "; divide by 57.3",
+}
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+", re.ASCII)
 
 
@@ -39,6 +48,8 @@ class Quantity:
     """Other name of a column, in small letters -> its name."""
     order: str = ""
     """Array of an NPZ that names the columns of this one, where their order is another."""
+    note: str = ""
+    """What the columns are, where an NPZ has no names for them: ", w first"."""
 
 
 Layout = tuple[Quantity, ...]
@@ -64,7 +75,7 @@ def names_in(path: Path) -> tuple[str, ...]:
         ConfigError: the file cannot be read.
     """
     if path.suffix == ".csv":
-        rows = _rows_of(path)
+        rows = rows_of(path)
         return tuple(_header(path, rows[0][1])) if rows else ()
     with _archive(path) as archive:
         return tuple(archive.files)
@@ -76,7 +87,7 @@ def column_named(cell: str, quantities: Sequence[Quantity]) -> str:
 
 
 def _read_csv(path: Path, layouts: Sequence[Layout], allowed: str) -> dict[str, np.ndarray]:
-    rows = _rows_of(path)
+    rows = rows_of(path)
     if not rows:
         raise ConfigError(f"{path}: is empty and has no header, allowed: a line of names, {allowed}")
     header = _header(path, rows[0][1])
@@ -87,21 +98,11 @@ def _read_csv(path: Path, layouts: Sequence[Layout], allowed: str) -> dict[str, 
     return {one.name: values[:, [columns.index(name) for name in one.columns]] for one in layout}
 
 
-def _rows_of(path: Path) -> list[tuple[int, list[str]]]:
-    """Number of its last line, from 1, and cells of every row; empty lines are left out."""
-    try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            return [(reader.line_num, [cell.strip() for cell in row]) for row in reader if "".join(row).strip()]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from error
-
-
 def _header(path: Path, cells: list[str]) -> list[str]:
     """The first line as names; NumPy writes a # before it."""
     cells = [cells[0].removeprefix("#").strip(), *cells[1:]]
     for separator, name in ((";", "';'"), ("\t", "tabulators"), ("|", "'|'"), (" ", "blanks")):
-        if len(cells) == 1 and separator in cells[0] and not _UNIT.fullmatch(cells[0]):
+        if len(cells) == 1 and separator in _BRACKETS.sub("", cells[0]):
             raise ConfigError(f"{path}: its cells are separated by {name}, allowed: ',' between cells, '.' in numbers")
     return cells
 
@@ -118,10 +119,10 @@ def _layout_of(path: Path, header: list[str], layouts: Sequence[Layout], allowed
     for layout in layouts:
         if sorted(columns) == sorted(name for one in layout for name in one.columns):
             return layout, columns
-    if all(_NUMBER.fullmatch(cell) or _NOT_FINITE.fullmatch(cell) for cell in header):
+    if all(NUMBER.fullmatch(cell) or _NOT_FINITE.fullmatch(cell) for cell in header):
         raise ConfigError(f"{path}: has no header, its first line is numbers, allowed: a line of names, {allowed}")
     raise ConfigError(
-        f"{path}: has the columns {','.join(header)}, allowed: {allowed}{_difference(header, columns, layouts)}"
+        f"{path}: has the columns {_listed(header)}, allowed: {allowed}{_difference(header, columns, layouts)}"
     )
 
 
@@ -135,9 +136,11 @@ def _difference(header: list[str], columns: list[str], layouts: Sequence[Layout]
         return ""
     missing = [name for name in wanted if name not in columns]
     extra = [
-        cell or "a column without a name" for cell, name in zip(header, columns, strict=True) if name not in wanted
+        (cell and _cut(cell)) or "a column without a name"
+        for cell, name in zip(header, columns, strict=True)
+        if name not in wanted
     ]
-    said = [f"{', '.join(names)} {verb}" for names, verb in ((missing, "missing"), (extra, "too much")) if names]
+    said = [f"{_listed(names, ', ')} {verb}" for names, verb in ((missing, "missing"), (extra, "too much")) if names]
     return f" ({'; '.join(said)})"
 
 
@@ -156,9 +159,9 @@ def _check_unit(path: Path, cell: str, column: str, quantities: Sequence[Quantit
     for quantity in quantities:
         found, unit = _column_of(cell, quantity)
         if found == column and unit not in ("", quantity.unit, quantity.unit or "-"):
-            factor = {"mm": "; divide by 1,000", "cm": "; divide by 100", "deg": "; divide by 57.3"}.get(unit, "")
+            factor = _FACTORS.get((unit, quantity.unit), "")
             raise ConfigError(
-                f"{path}: its column '{cell}' is in {unit}, allowed: {column} in {quantity.unit or 'no unit'}{factor}"
+                f"{path}: its column '{_cut(cell)}' is in {_cut(unit)}, allowed: {column} in {quantity.unit or 'no unit'}{factor}"
             )
 
 
@@ -168,15 +171,15 @@ def _numbers(path: Path, row: int, line: int, cells: list[str], header: list[str
         is_split = len(cells) == 2 * len(header) and all(re.fullmatch(r"[+-]?\d+", cell) for cell in cells)
         hint = "; decimal commas? write 0.5" if is_split else ""
         raise ConfigError(
-            f"{where}, does not hold {len(header)} numbers but {len(cells)}, one for each of {','.join(header)}{hint}"
+            f"{where}, does not hold {len(header)} numbers but {len(cells)}, one for each of {_listed(header)}{hint}"
         )
     for cell, name in zip(cells, header, strict=True):
-        if _NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
+        if NUMBER.fullmatch(cell) and np.isfinite(float(cell)):
             continue
-        if _NUMBER.fullmatch(cell) or _NOT_FINITE.fullmatch(cell):
-            raise ConfigError(f"{where}, column {name}: got {cell}, which is not finite")
+        if NUMBER.fullmatch(cell) or _NOT_FINITE.fullmatch(cell):
+            raise ConfigError(f"{where}, column {_cut(name)}: got {_cut(cell)}, which is not finite")
         hint = "; a decimal comma? write 0.5" if _DECIMAL_COMMA.fullmatch(cell) else ""
-        raise ConfigError(f"{where}, column {name}: got {_short(cell)}, allowed: a number{hint}")
+        raise ConfigError(f"{where}, column {_cut(name)}: got {_short(cell)}, allowed: a number{hint}")
     return [float(cell) for cell in cells]
 
 
@@ -231,7 +234,7 @@ def _archive(path: Path) -> np.lib.npyio.NpzFile:
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: does not exist") from error
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{path}: is truncated or not a .npz file ({_one_line(error)})") from error
+        raise ConfigError(f"{path}: is truncated or not a .npz file ({reason_of(error)})") from error
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise ConfigError(f"{path}: is truncated or not a .npz file (it holds one array without a name)")
     return archive
@@ -239,25 +242,45 @@ def _archive(path: Path) -> np.lib.npyio.NpzFile:
 
 def _member(path: Path, archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray:
     try:
-        return archive[name]
+        array = archive[name]
+        if isinstance(array, np.ndarray):
+            return array
+        raise ConfigError(f"{path}: {name} holds a text, allowed: an array of real numbers")
+    except ConfigError:
+        raise
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         if "allow_pickle" in str(error):
             raise ConfigError(f"{path}: {name} holds Python objects, allowed: real numbers") from error
-        raise ConfigError(f"{path}: {name} cannot be read ({_one_line(error)})") from error
+        raise ConfigError(f"{path}: {name} cannot be read ({reason_of(error)})") from error
 
 
 def _held(path: Path, archive: np.lib.npyio.NpzFile) -> str:
-    return ", ".join(f"{name} {_member(path, archive, name).shape}" for name in archive.files) or "nothing"
+    return _listed([f"{name} {_shape(path, archive, name)}" for name in archive.files], ", ") or "nothing"
+
+
+def _shape(path: Path, archive: np.lib.npyio.NpzFile, name: str) -> str:
+    """Of an array in an error line; a file of arrays may hold anything beside those that are asked for."""
+    try:
+        return str(_member(path, archive, name).shape)
+    except ConfigError:
+        return "(no array of numbers)"
 
 
 def _arrays_allowed(layouts: Sequence[Layout]) -> str:
-    return ", or ".join(" with ".join(f"{one.name} (n, {len(one.columns)})" for one in layout) for layout in layouts)
+    return ", or ".join(
+        " with ".join(f"{one.name} (n, {len(one.columns)}){one.note}" for one in layout) for layout in layouts
+    )
 
 
-def _short(cell: str) -> str:
-    text = repr(cell)
+def _cut(text: str) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+def _listed(names: Sequence[str], between: str = ",") -> str:
+    """Names in an error line, the first two dozen of them."""
+    rest = f"{between}... ({len(names)} in all)" if len(names) > 24 else ""
+    return between.join(map(_cut, names[:24])) + rest
+
+
+def _short(cell: str) -> str:
+    return _cut(repr(cell))

@@ -31,9 +31,18 @@ FLOORS = {
 }
 # Beside the floors of the design: the record of where a result comes from, how a stage is run, the table over the runs
 # of a sweep.
-FLOORS |= {"provenance": 1.5, "kept": 1, "table_file": 1, "shipped": 1.5, "measured": 1.5, "stage": 5, "sweep": 6}
+FLOORS |= {
+    "provenance": 1.5,
+    "kept": 1,
+    "table_file": 1.5,
+    "csv_rows": 1,
+    "shipped": 1.5,
+    "measured": 1.5,
+    "stage": 5,
+    "sweep": 6,
+}
 # What the ground stands on: YAML and JSON as they are read and written, errors of the machine.
-FLOORS |= {"plain_yaml": 0, "plain_json": 0, "machine": 0, "records": 0}
+FLOORS |= {"plain_yaml": 0, "plain_json": 0, "machine": 0, "records": 0, "field_words": 0, "text_file": 0}
 DOOR = {"cli", "__main__"}
 GROUND = {"config", "artifacts", "keys", "progress", "xla_options"}
 """The files of floor 1 that the folders of floor 1 may use too."""

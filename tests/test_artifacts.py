@@ -1,5 +1,6 @@
 import json
 import os
+import zipfile
 
 import numpy as np
 import pytest
@@ -197,3 +198,17 @@ def test_a_manifest_names_files_beside_it_only(tmp_path) -> None:
             tmp_path / "data" / "manifest.json", manifest | {"shards": [manifest["shards"][0] | entry]}
         )
         assert "manifest.json" in refused(tmp_path / "data")
+
+
+def test_columns_are_checked_by_name_and_length_where_they_are_read(tmp_path) -> None:
+    path = tmp_path / "held_out.npz"
+    artifacts.write_arrays(path, {"a": np.zeros(3), "b": np.zeros((3, 2)), "other": np.zeros(1)})
+    assert artifacts.load_columns(path, ("a", "b"), "what a stage writes").keys() == {"a", "b", "other"}
+    with pytest.raises(ArtifactError, match=r"held_out\.npz: is not what a stage writes \(c is missing\)"):
+        artifacts.load_columns(path, ("a", "c"), "what a stage writes")
+    with pytest.raises(ArtifactError, match="different numbers of rows"):
+        artifacts.load_columns(path, ("a", "other"), "what a stage writes")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a", "a text")
+    with pytest.raises(ArtifactError, match="a is no array"):
+        artifacts.load_columns(path, ("a",), "what a stage writes")

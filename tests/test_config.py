@@ -1,9 +1,12 @@
+import ast
 import dataclasses
 import math
+import re
 import typing
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,6 +18,7 @@ from qjrl.config import (
     as_mapping,
     build,
     conf_folder,
+    configuration,
     identity_of,
     read_literal_yaml,
     read_yaml,
@@ -155,7 +159,7 @@ def test_yaml_numbers_with_an_exponent_are_numbers(tmp_path) -> None:
         (None, "cannot be read"),
         ("a: [1", "is not YAML"),
         ("- 1", "expected a mapping"),
-        (b"\xff\xfe\x00", "is not YAML"),
+        (b"\xff\xfe\x00", "UTF-16, allowed: UTF-8; save it as UTF-8"),
     ],
 )
 def test_a_yaml_file_that_cannot_be_used_is_one_line(tmp_path, content, message) -> None:
@@ -219,3 +223,66 @@ def test_a_file_of_values_composes_nothing(tmp_path, content) -> None:
 
 def test_a_number_beyond_floats_is_refused() -> None:
     assert "a finite number" in refused(joint={"length": 10**400})
+
+
+# --- what Python makes ------------------------------------------------------------------------------------------------
+
+
+@configuration
+class Inner:
+    share: Annotated[float, Range(0.0, 1.0)] = 0.5
+
+
+@configuration
+class Outer:
+    count: Annotated[int, Range(1, 9)]
+    mode: Literal["a", "b"] = "a"
+    sizes: tuple[Annotated[float, Range(above=0.0)], ...] = ()
+    inner: Inner = Inner()
+
+    def __post_init__(self):
+        if self.count == 7:
+            raise ValueError("count: got 7, allowed: another")
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"count": 0}, "Outer.count: got 0, allowed: an integer from 1 to 9"),
+        ({"count": 2.0}, "Outer.count: got 2.0"),
+        ({"count": True}, "Outer.count: got true"),
+        ({"count": 1, "mode": "c"}, "Outer.mode: got 'c', allowed: one of a, b"),
+        ({"count": 1, "sizes": [1.0, -2.0]}, "Outer.sizes[1]: got -2.0"),
+        ({"count": 1, "sizes": np.array([1.0, np.nan])}, "Outer.sizes[1]: got nan"),
+        ({"count": 1, "inner": 3}, "Outer.inner: got 3"),
+        ({"count": 7}, "count: got 7, allowed: another"),
+    ],
+    ids=str,
+)
+def test_what_python_makes_is_refused_as_what_yaml_makes(values, line) -> None:
+    with pytest.raises(ValueError, match="^" + re.escape(line)):
+        Outer(**values)
+    with pytest.raises(ValueError, match=r"Outer\.count: got 12"):
+        dataclasses.replace(Outer(1), count=12)
+
+
+def test_numbers_of_numpy_become_plain_ones_with_the_same_hash() -> None:
+    from qjrl.artifacts import hash_of
+
+    values: tuple[Any, ...] = (np.int64(3), np.str_("b"), np.array([1.0, 2.0]), Inner(np.float64(0.25)))
+    given = Outer(*values)
+    plain = Outer(3, "b", (1.0, 2.0), Inner(0.25))
+    assert given == plain and type(given.count) is int and type(given.inner.share) is float
+    assert hash_of(as_mapping(given)) == hash_of(as_mapping(plain))
+    assert (
+        build(Outer, {"count": np.int32(3), "mode": "b", "sizes": np.array([1, 2]), "inner": {"share": 0.25}}) == plain
+    )
+
+
+def test_every_class_with_ranges_is_checked_wherever_it_is_made() -> None:
+    package = Path(__file__).parent.parent / "qjrl"
+    for file in package.rglob("*.py"):
+        classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
+        for node in classes:
+            if node.name not in ("Range", "NotIdentity") and "Range(" in ast.unparse(node):
+                assert [ast.unparse(one) for one in node.decorator_list] == ["configuration"], f"{file}: {node.name}"

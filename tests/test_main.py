@@ -7,30 +7,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
+from command import Command, Said, assert_one_line, run_command
 
 from qjrl import artifacts, config, pipeline
-from qjrl.__main__ import main
 from qjrl.learning.divergence import TrainingDiverged
 
 ROOT = Path(__file__).parent.parent
-
-
-@dataclasses.dataclass
-class Said:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-
-Command = Callable[..., Said]
 
 
 @pytest.fixture
@@ -40,13 +27,7 @@ def qjrl(tmp_path, monkeypatch, capsys) -> Command:
         monkeypatch.setenv(name, os.environ.get(name, ""))
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.chdir(tmp_path)
-
-    def command(*arguments: str) -> Said:
-        monkeypatch.setattr(sys, "argv", ["qjrl", *arguments])
-        code = main()
-        return Said(code, *capsys.readouterr())
-
-    return command
+    return lambda *arguments: run_command(monkeypatch, capsys, *arguments)
 
 
 @pytest.fixture
@@ -92,14 +73,6 @@ def in_a_process(program: list[str], folder: Path) -> "subprocess.Popen[str]":
         stderr=pipe,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # ignored in a background job
     )
-
-
-def assert_one_line(said: Said, *words: str) -> None:
-    assert said.code == 2, said.err
-    assert len(said.err.splitlines()) == 1, said.err
-    assert "Traceback" not in said.out + said.err
-    for word in words:
-        assert word in said.err
 
 
 def test_help_answers_at_once_with_stages_groups_and_examples(tmp_path) -> None:

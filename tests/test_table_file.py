@@ -2,10 +2,13 @@
 
 import csv
 import io
+import pickle
+import zipfile
 
 import numpy as np
 import pytest
 from arms import arm_named
+from scipy.spatial.transform import Rotation
 
 from qjrl.config import ConfigError
 from qjrl.control.tension.path import cable_quantity, read_path
@@ -155,3 +158,87 @@ def test_arrays_of_another_kind_are_one_line(tmp_path, arrays, words):
 def test_whole_numbers_are_numbers(tmp_path):
     np.savez(tmp_path / "points.npz", position=np.array([[0, 0, 0], [0, 0, 1]], np.int16))
     np.testing.assert_array_equal(read_points(tmp_path / "points.npz").position, [[0, 0, 0], [0, 0, 1]])
+
+
+# --- files of other programs ------------------------------------------------------------------------------------------
+
+POINTS = "0,0,0.2\n0.01,0,0.2\n"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# exported 2024-05-01 by a tool\nx,y,z\n" + POINTS,
+        "# exported\n# frame: base, unit: m\n# x,y,z\n" + POINTS,
+        "sep=,\nx [m],y [m],z [m]\n" + POINTS,
+        "# x,y,z\n" + POINTS,
+        '"x","y","z"\n' + POINTS,
+    ],
+    ids=range(5),
+)
+def test_what_other_programs_write_above_the_names_is_let_be(tmp_path, text) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    found = read_table(tmp_path / "a.csv", POSE_LAYOUTS, ALLOWED_COLUMNS)
+    np.testing.assert_array_equal(found["position"], [[0, 0, 0.2], [0.01, 0, 0.2]])
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ('x,"y,z\n' + 500 * POINTS, "line 1: a quote is not closed there"),
+        ("x,y,z\n" + POINTS + '0,"0,0.2\n' + POINTS, "line 4: a quote is not closed there"),
+        ("x [m];y [m];z [m]\n0;0;1\n", "separated by ';'"),
+        ("x [m] y [m] z [m]\n0 0 1\n", "separated by blanks"),
+        (f"{'a' * 5000},y,z\n" + POINTS, "allowed: x,y,z"),
+        (",".join(f"column{i}" for i in range(3000)) + "\n" + POINTS, "(3000 in all)"),
+        (f"x [{'m' * 3000}],y,z\n" + POINTS, "allowed: x in m"),
+        (("x,y,z\n" + POINTS).encode("utf-16"), "save it as UTF-8"),
+        (("x,y,位置\n" + POINTS).encode("gbk"), "line 1 is not in UTF-8"),
+    ],
+    ids=range(9),
+)
+def test_a_file_in_another_form_is_one_short_line(tmp_path, content, words) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ConfigError) as error:
+        read_table(path, POSE_LAYOUTS, ALLOWED_COLUMNS)
+    message = str(error.value).removeprefix(str(tmp_path))
+    assert words in message and "\n" not in message and len(message) < 900, message
+
+
+def test_a_unit_is_converted_in_words_only_where_it_can_be(tmp_path) -> None:
+    for unit, hint in (("mm", "divide by 1,000"), ("in", "multiply by 0.0254"), ("deg", "allowed: cable_1 in m")):
+        (tmp_path / "a.csv").write_text(f"cable_1 [{unit}],5,3,7\n0,0,0,0\n")
+        with pytest.raises(ConfigError, match=f"is in {unit}.*{hint}") as error:
+            read_path(ARM, str(tmp_path / "a.csv"))
+        assert "57.3" not in str(error.value)
+
+
+def test_texts_and_pickles_in_an_npz_are_one_line(tmp_path) -> None:
+    path = tmp_path / "a.npz"
+    for member in ("position.npy.txt", "position"):
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr(member, "hello")
+        with pytest.raises(ConfigError, match=r"a\.npz: ") as error:
+            read_table(path, POSE_LAYOUTS, ALLOWED_COLUMNS)
+        assert "allow_pickle" not in str(error.value)
+    for content in (pickle.dumps([1, 2]), b"x,y,z\n1,2,3\n", b""):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=r"not a \.npz file") as error:
+            read_table(path, POSE_LAYOUTS, ALLOWED_COLUMNS)
+        assert "allow_pickle" not in str(error.value)
+
+
+def test_what_is_no_rotation_is_refused_and_the_order_of_its_numbers_is_said(tmp_path) -> None:
+    turns = Rotation.random(5, rng=np.random.default_rng(0)).as_matrix()
+    position = np.column_stack([np.linspace(0.0, 0.1, 5), np.zeros(5), np.full(5, 0.1)])
+    order = "of the 3 x 3 matrix the first column, then the second"
+    by_columns = np.concatenate([turns[:, :, 0], turns[:, :, 1]], axis=1)
+    np.savez(tmp_path / "a.npz", position=position, rotation=by_columns)
+    points = read_points(tmp_path / "a.npz")
+    assert points.rotation is not None
+    np.testing.assert_allclose(points.rotation.as_matrix(), turns, atol=1e-12)
+    for wrong in (turns, turns.reshape(5, 9), turns[:, :, :2].reshape(5, 6), 2.0 * by_columns):
+        np.savez(tmp_path / "a.npz", position=position, rotation=wrong)
+        with pytest.raises(ConfigError, match=order):
+            read_points(tmp_path / "a.npz")

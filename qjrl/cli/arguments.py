@@ -4,7 +4,7 @@ import re
 from collections.abc import Collection
 from pathlib import Path
 
-from qjrl.config import ConfigError, known_names
+from qjrl.config import ConfigError, is_yaml, known_names
 
 _NO_VALUE, _ONE_VALUE, _MAYBE_VALUE = "no value", "one value", "a value or none"
 _OPTIONS = {
@@ -16,7 +16,7 @@ _CHOICES = {
     **dict.fromkeys(["--cfg", "-c"], ("job", "hydra", "all")),
     **dict.fromkeys(["--info", "-i"], ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
 }
-_TEXTS = ("name",)
+TEXTS = ("name",)
 """Keys whose values are texts: ``name=2024`` and ``name=O'Brien`` need no quotes."""
 _FILES = (".csv", ".json", ".jsonl", ".npz", ".yaml", ".yml")
 
@@ -64,7 +64,7 @@ def _hint(words: list[str], stages: Collection[str]) -> str:
     if all(word in stages for word in words):
         return f"{' '.join(words)}: is no KEY=VALUE; did you mean stages=[{','.join(words)}]?"
     word = next(word for word in words if word not in stages)
-    if Path(word).suffix in (".yaml", ".yml"):
+    if is_yaml(word):
         return f"{word}: is no KEY=VALUE; did you mean robot={word}?"
     shown = word if word.isprintable() and word else repr(word)
     close = known_names(word, stages)
@@ -85,9 +85,9 @@ def for_hydra(override: str) -> str:
     key, equals, value = override.partition("=")
     if not equals:
         return override
-    if value.endswith(_FILES) and is_file(value):
+    if value.lower().endswith(_FILES) and is_file(value):
         return f"{key}={quoted(value.replace('${', chr(92) + '${'))}"
-    if key in _TEXTS and value and not (set(value) & set(",[]{}()$") or value[0] in "'\""):
+    if key in TEXTS and value and not (set(value) & set(",[]{}()$") or value[0] in "'\""):
         return f"{key}={quoted(value)}"
     if value.isascii() or set(value) & set("'\"{}\\$"):
         return override

@@ -1,6 +1,7 @@
 """Errors of Hydra and OmegaConf, said in the words of the command."""
 
 from qjrl.artifacts import ArtifactError
+from qjrl.cli.values import comma_hint
 from qjrl.config import ConfigError, known_names, unknown_key
 
 
@@ -47,7 +48,8 @@ def _readable(error: Exception, overrides: list[str]) -> Exception:
     text, override = str(error).partition("\nSee http")[0], getattr(error, "override", None)
     if "Ambiguous value" in text:
         several = "several values; add -m (--multirun) to run each of them, or write [a,b] for a list"
-        return ConfigError(f"{override or text.partition(chr(10))[0]}: {several}")
+        hint = comma_hint(text.partition("'")[2].partition("'")[0].partition("=")[2])
+        return ConfigError(f"{override or text.partition(chr(10))[0]}: {several}{hint}")
     if text.startswith("LexerNoViableAlt"):
         return ConfigError(
             f"{override or text}: cannot be read; a value with such letters needs quotes: KEY=\"'VALUE'\""

@@ -1,5 +1,6 @@
 """Hands a command to Hydra, and runs the stages in each of the jobs that come back."""
 
+import errno
 import os
 import sys
 import traceback
@@ -12,20 +13,24 @@ from qjrl.cli import arguments as words
 from qjrl.cli import hydra_errors, names, outcome, process, sweeps
 from qjrl.cli.robot_files import as_typed, with_robot_files
 from qjrl.cli.sweeps import Job
-from qjrl.config import conf_folder
+from qjrl.cli.values import checked
+from qjrl.config import ConfigError, conf_folder, in_file
+from qjrl.machine import MachineError
 
 
 def launch(arguments: list[str]) -> int:
     """Runs a command. Returns the exit code; every error of Hydra's own becomes one line."""
     import hydra
 
+    _require_directory()
     os.environ["HYDRA_FULL_ERROR"] = "1"  # exceptions come here instead of being printed by Hydra
     overrides, options = words.sorted_out(arguments, pipeline.STAGES)
+    is_sweep = bool({"-m", "--multirun"} & set(options))
     names.register()
     overrides, files = with_robot_files(overrides)
-    typed = {words.for_hydra(override): override for override in overrides}
-    overrides = list(map(words.for_hydra, overrides))
-    is_sweep = bool({"-m", "--multirun"} & set(options))
+    plain = checked(overrides, is_sweep, words.TEXTS)
+    typed = {words.for_hydra(one): override for one, override in zip(plain, overrides, strict=True)}
+    overrides = list(map(words.for_hydra, plain))
     outcomes: list[str] = []
     planned = None
     try:
@@ -33,7 +38,8 @@ def launch(arguments: list[str]) -> int:
         job = Job(files, typed, planned.identity, planned.fixed) if planned else Job(files, typed)
         sys.argv = ["qjrl", *overrides, *(planned.overrides if planned else []), *options]
         hydra.main(version_base=None, config_path=str(conf_folder()), config_name="config")(_job(job, outcomes))()
-    except Exception as error:
+    except Exception as problem:
+        error = _of_the_place(problem)
         told = error if outcome.explained(error) else hydra_errors.in_our_words(error, overrides)
         if told is not None:
             return outcome.EXIT_CODES[outcome.tell(told)[0]]
@@ -42,6 +48,23 @@ def launch(arguments: list[str]) -> int:
     if planned is not None:
         return max(sweeps.finish(planned), "failed" in outcomes)
     return outcome.EXIT_CODES[outcomes[-1]] if outcomes else 0
+
+
+def _require_directory() -> None:
+    """Raises a MachineError where the current directory has been deleted."""
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise MachineError("the current directory does not exist any more; go to one that does (cd)") from error
+
+
+def _of_the_place(error: Exception) -> Exception:
+    """An error of the directories that Hydra makes for the runs, as one of the machine; any other as it is."""
+    if not isinstance(error, OSError) or error.errno == errno.ENAMETOOLONG or error.filename is None:
+        return error
+    place = Path(os.fsdecode(error.filename))
+    why = f"it is a link to {os.readlink(place)}, which does not exist" if place.is_symlink() else error.strerror
+    return MachineError(f"{place}: cannot be made or written to, where the output goes ({why})")
 
 
 def _job(job: Job, outcomes: list[str]) -> Callable[[Any], str]:
@@ -75,7 +98,8 @@ def _recorded_run(cfg: Any, job: Job) -> str:
         together = (
             run_dir if job.sweep is None else sweeps.directory_of_all_parts(job, run_dir, about.sweep.dir, overrides)
         )
-        record["status"], record["error"] = outcome.tell(problem) if problem else run_stages(tree, together)
+        file = _file_of_robot(job, typed, str(about.runtime.choices.get("robot")))
+        record["status"], record["error"] = outcome.tell(problem) if problem else run_stages(tree, together, file)
     return record["status"]
 
 
@@ -95,14 +119,26 @@ def _index(tree: dict[str, Any]) -> Any:
     return processes.get("index") if isinstance(processes, dict) else None
 
 
-def run_stages(tree: dict[str, Any], run_dir: Path) -> tuple[str, str | None]:
-    """Runs the stages. Returns the status and the line that explains it, already printed."""
+def _file_of_robot(job: Job, overrides: list[str], choice: str) -> str | None:
+    """The user's file that all values of the robot come from; None where the command changes some of them."""
+    changes = any(override.lstrip("+~").startswith("robot.") for override in overrides)
+    return None if changes else job.files.get(choice)
+
+
+def run_stages(tree: dict[str, Any], run_dir: Path, robot_file: str | None = None) -> tuple[str, str | None]:
+    """Runs the stages. Returns the status and the line that explains it, already printed.
+
+    Args:
+        robot_file: the user's, which errors of the robot's values name.
+    """
     try:
         selected = pipeline.selected(tree)
         pipeline.meet(tree)
         progress.console.print(f"{', '.join(selected)} -> {run_dir}", markup=False)
         pipeline.run(selected, pipeline.build_needed(tree, selected), run_dir)
     except Exception as error:
+        if robot_file is not None and isinstance(error, ConfigError):
+            error = in_file(robot_file, error)
         return outcome.tell(error)
     report = run_dir / "compare" / "report.html"
     progress.console.print(f"done: {report if 'compare' in selected and report.exists() else run_dir}", markup=False)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from qjrl.cli.arguments import is_file
-from qjrl.config import conf_folder, read_literal_yaml
+from qjrl.config import conf_folder, is_yaml, read_literal_yaml
 
 _SUFFIXES = (".yaml", ".yml")
 _NO_NAMES = ("null", "true", "false", "inf", "nan")
@@ -23,13 +23,13 @@ def with_robot_files(overrides: list[str]) -> tuple[list[str], dict[str, str]]:
     result = []
     for override in overrides:
         key, _, value = override.partition("=")
-        if key.lstrip("+") != "robot" or not any(suffix in value for suffix in _SUFFIXES):
+        if key.lstrip("+") != "robot" or not any(suffix in value.lower() for suffix in _SUFFIXES):
             result.append(override)
             continue
-        choices = [_choice(piece, files) if piece.endswith(_SUFFIXES) else piece for piece in _pieces(value)]
+        choices = [_choice(piece, files) if is_yaml(piece) else piece for piece in _pieces(value)]
         result.append(f"{key}={','.join(choices)}")
     for choice, file in files.items():
-        content = read_literal_yaml(Path(file).expanduser())
+        content = read_literal_yaml(file)
         ConfigStore.instance().store(group="robot", name=choice, node=content)
     return result, files
 

@@ -5,7 +5,6 @@ of the base and what friction the dither leaves. These move eight numbers of the
 short mean says more about the tip than the encoders' noise alone would let it: all else in the mean is noise.
 """
 
-import dataclasses
 import math
 from functools import partial
 from typing import Annotated, Any
@@ -14,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.sensors import rotation_vectors
 from qjrl.geometry import cholesky
 from qjrl.robot import bends_from_cables, equilibrium
@@ -24,7 +23,7 @@ from qjrl.robot.verbs import Robot
 _VAGUE = 1e6
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class EstimateConfig:
     """Standard deviations of what is not known of an arm; ours."""
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control import controller, motors, termination, tip_correction
 from qjrl.control.arm_estimate import EstimateConfig, priors
 from qjrl.control.controller import ControllerConfig, Task
@@ -31,7 +31,7 @@ from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import PhysicalParameters, PlantState
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class EnvironmentConfig:
     """One episode and one step."""
 

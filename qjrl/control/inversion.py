@@ -1,13 +1,12 @@
 """Invert a forward model for sets of targets, and settle every answer: the predicted error beside the real one."""
 
-import dataclasses
 from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_bends, target_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths
@@ -19,7 +18,7 @@ from qjrl.simulation.settling import settle
 from qjrl.solvers import AdamConfig, LeastSquaresConfig, SolveResult, draw_candidates, solve_adam, solve_least_squares
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class IKConfig:
     """Group `ik`."""
 

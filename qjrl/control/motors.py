@@ -1,17 +1,16 @@
 """From base command and residual to what the motors do: ramp, bounded residual, limits of stroke and speed."""
 
-import dataclasses
 import math
 from typing import Annotated, Literal
 
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.verbs import Robot, cable_strokes
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ResidualConfig:
     """How an action becomes an offset of the cable lengths."""
 
@@ -25,7 +24,7 @@ class ResidualConfig:
     """Time constant [s] with which the offset follows the action, ours."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DitherConfig:
     """Shaking off the friction: once the base command is ramped in, every motor swings about it, less and less.
 

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.artifacts import append_json_line
-from qjrl.config import ConfigError, NotIdentity, Range
+from qjrl.config import ConfigError, NotIdentity, Range, configuration
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import EnvironmentConfig
@@ -38,7 +38,7 @@ _PHYSICS_STEPS = 10
 PHYSICS_RATES = "physics_rates.jsonl"
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class PolicyConfig:
     """Group `policy`."""
 

@@ -1,13 +1,12 @@
 """Domain randomisation: what differs between the robot of the model and the robot at hand (paper 000, section 4)."""
 
-import dataclasses
 import math
 from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.stepping import PhysicalParameters
 
@@ -17,7 +16,7 @@ Periods = Annotated[int, Range(0, 100)]
 _SCALES = ("strand_damping_scale", "armature_scale", "gain_scale", "strand_stiffness_scale")
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class RandomisationConfig:
     """Ranges, uniform unless said otherwise. The paper names the quantities; the ranges are ours."""
 

@@ -1,15 +1,14 @@
 """Reward of one control step: nothing while the base is ramped in, then how near the tip is to its target."""
 
-import dataclasses
 from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class RewardConfig:
     """Weights and scales, all ours; paper 000 (section 5.4.2) has the exponentials and the bonus, without numbers."""
 

@@ -1,13 +1,12 @@
 """The two sets of targets that controllers are trained and judged on."""
 
-import dataclasses
 from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot import forward_kinematics
 from qjrl.robot.quaternion_arm.sampling import bends_at_distance, uniform_bends
 from qjrl.robot.verbs import Robot
@@ -16,7 +15,7 @@ from qjrl.robot.verbs import Robot
 TARGET_SETS = ("uniform", "near_home")
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class TargetConfig:
     """Laws of the targets."""
 

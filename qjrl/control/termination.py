@@ -3,14 +3,13 @@
 Other than a time limit, which cuts an episode off, this is an end after which nothing comes.
 """
 
-import dataclasses
 import math
 from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.sensors import rotation_vectors
 from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import configuration_from_joint_positions
@@ -18,7 +17,7 @@ from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.stepping import PlantState
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class TerminationConfig:
     """All ours; an arm that follows commands within its limits comes near none of it."""
 

@@ -3,13 +3,12 @@
 The classical rival of the residual policy integrates what the encoders say the tip lacks, through this matrix.
 """
 
-import dataclasses
 from typing import Annotated
 
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.sensors import bends_of_rotation_vectors
 from qjrl.geometry import cholesky
 from qjrl.geometry.pose import pose_difference
@@ -20,7 +19,7 @@ from qjrl.robot.verbs import Robot
 LEVER = 0.1
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class IntegralConfig:
     """Integral feedback from the encoders, tuned for the default noise; see experiments/residual."""
 

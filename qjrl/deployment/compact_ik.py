@@ -4,7 +4,6 @@ Every start descends on the closed form first, which costs next to nothing, and 
 operations (see `levenberg_marquardt`): an exported file must run on any platform.
 """
 
-import dataclasses
 import math
 from typing import Annotated
 
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.deployment.functions import Outputs, SolveFunction
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
@@ -23,7 +22,7 @@ from qjrl.solvers.levenberg_marquardt import Descent, DescentConfig, descend
 from qjrl.solvers.model_tip import lengths_of, tip_function
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class CompactIKConfig:
     """Size and tolerances; all values ours."""
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import jax
 
 from qjrl import artifacts, progress
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, Range, configuration
 from qjrl.deployment import onnx_controller, onnx_model, stablehlo
 from qjrl.deployment.contract import FORMAT, function_contract, robot_contract
 from qjrl.deployment.controller import PROTOCOL, DeployedController
@@ -19,7 +19,7 @@ from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.robot.verbs import Robot
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ControllerExportConfig:
     """Keys of group `deploy` about the files."""
 

@@ -1,19 +1,18 @@
 """The deployment of a controller: a few targets in real time, then one of them again with faults on the line."""
 
-import dataclasses
 from collections.abc import Callable, Iterator
 from typing import Annotated, Protocol
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.deployment.controller_export import ControllerExportConfig
 from qjrl.deployment.line import NO_FAULT, FaultConfig, Line, draw_faults
 from qjrl.deployment.real_time import Plant, Played, Schedule, on_one_core, play
 from qjrl.deployment.safety import SafeController
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DeployConfig:
     """Group `deploy`."""
 

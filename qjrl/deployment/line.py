@@ -5,14 +5,14 @@ from typing import Annotated
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 
 NO_FAULT, LOST, CORRUPT, ABSURD = range(4)
 _ABSURD = 57.3
 """What an absurd reading is multiplied by, and has added [rad]: finite, as of degrees taken for radians."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class FaultConfig:
     """Keys of `deploy.faults`; they strike in one episode of their own. Values ours."""
 

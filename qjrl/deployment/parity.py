@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.geometry.pose import row_errors
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
@@ -27,7 +27,7 @@ class ParityError(RuntimeError):
     """A file computes something else than the package; nothing was written."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ParityConfig:
     """What is compared and how far apart the answers may be; all values ours."""
 

@@ -18,7 +18,7 @@ import optax
 from flax import linen, struct
 
 from qjrl import artifacts, progress
-from qjrl.config import Range, as_mapping
+from qjrl.config import Range, as_mapping, configuration
 from qjrl.keys import seed_for
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.divergence import TrainingDiverged
@@ -28,7 +28,7 @@ Predict = Callable[[Any], jax.Array]
 Loss = Callable[[jax.Array, jax.Array], jax.Array]
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class FitConfig:
     """AdamW with a warm-up and a cosine. Defaults: ours; 9,000 rows, width 256: about 20 s of CPU, in batches of 64 35 s."""
 

@@ -1,16 +1,15 @@
 """The regression network of paper 000: Fourier features, then residual blocks."""
 
-import dataclasses
 from typing import Annotated
 
 import jax.numpy as jnp
 from flax import linen
 from jaxtyping import Array, Float
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class NetworkConfig:
     """Size of a `FourierResidualNetwork`. Defaults: paper 000 (its frequencies as read in the spec, section 4)."""
 

@@ -5,9 +5,10 @@ a_k = sin(theta_k/2) (cos phi_k, sin phi_k), shape (num_segments, 2). Every verb
 """
 
 from qjrl.robot.loading import load_robot, robot_from_mapping, robot_hash
-from qjrl.robot.quaternion_arm.joint import bends_from_angles, bends_from_pose
 from qjrl.robot.verbs import (
+    bends_from_angles,
     bends_from_cables,
+    bends_from_pose,
     build_mjcf,
     cable_lengths,
     cable_strokes,

@@ -7,7 +7,6 @@ is lost, and the network learns eight small smooth numbers instead of the kinema
 lies between the two, to tell what comes in from what goes out: scaled lengths go in, the correction comes out.
 """
 
-import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,7 +17,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.artifacts import ArtifactError
-from qjrl.config import ConfigError, Range, as_mapping, build
+from qjrl.config import ConfigError, Range, as_mapping, build, configuration
 from qjrl.learning.fitting import FitConfig, FittedNetwork, predict
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
 from qjrl.learning.parameters import load_parameters, save_parameters
@@ -28,7 +27,7 @@ from qjrl.robot.verbs import Robot, bends_from_cables, cable_strokes, forward_ki
 PoseFunction = Callable[[jax.Array], jax.Array]
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ForwardModelConfig:
     """Group `forward_model`."""
 

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from qjrl.artifacts import hash_of
-from qjrl.config import ConfigError, as_mapping, build, conf_folder, known_names, read_literal_yaml
+from qjrl.config import ConfigError, as_mapping, build, conf_folder, in_file, is_yaml, known_names, read_literal_yaml
+from qjrl.field_words import show
 from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
 
 # kind -> (what its YAML may hold, the pytree made of it)
@@ -18,16 +19,22 @@ def load_robot(name_or_path: str | Path) -> QuaternionArm:
     Raises:
         ConfigError: no such robot, or a value in the file that is not allowed; one line.
     """
-    path = Path(name_or_path)
-    if path.suffix not in (".yaml", ".yml"):
-        path = conf_folder() / "robot" / f"{name_or_path}.yaml"
-        if not path.is_file():
-            shipped = sorted(file.stem for file in path.parent.glob("*.yaml"))
-            known = known_names(str(name_or_path), shipped)
-            raise ConfigError(
-                f"robot: got {str(name_or_path)!r}, allowed: the path of a .yaml file or a shipped name; {known}"
-            )
-    return robot_from_mapping(read_literal_yaml(path))
+    if not isinstance(name_or_path, (str, Path)):
+        hint = "; robot_from_mapping takes a mapping" if isinstance(name_or_path, Mapping) else ""
+        raise ConfigError(f"robot: got {show(name_or_path)}, allowed: a shipped name or the path of a .yaml file{hint}")
+    name = str(name_or_path)
+    if not is_yaml(name):
+        folder = conf_folder() / "robot"
+        shipped = sorted(file.stem for file in folder.glob("*.yaml"))
+        if name not in shipped:
+            known = known_names(name, shipped)
+            raise ConfigError(f"robot: got {show(name)}, allowed: the path of a .yaml file or a shipped name; {known}")
+        return robot_from_mapping(read_literal_yaml(folder / f"{name}.yaml"))
+    content = read_literal_yaml(name)
+    try:
+        return robot_from_mapping(content)
+    except ConfigError as error:
+        raise in_file(name, error) from error
 
 
 def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
@@ -36,6 +43,12 @@ def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
     Raises:
         ConfigError: unknown kind or key, wrong type, impossible value; one line.
     """
+    if not isinstance(mapping, Mapping):
+        raise ConfigError(f"robot: got {show(mapping)}, allowed: a mapping, as the YAML of a robot holds it")
+    if "kind" not in mapping and isinstance(mapping.get("robot"), Mapping):
+        raise ConfigError(
+            "robot.robot: got a mapping, allowed: its keys themselves at the top, without robot: above them"
+        )
     if "kind" not in mapping:
         raise ConfigError(f"robot.kind: missing, allowed: {', '.join(KINDS)}")
     kind = mapping["kind"]

@@ -2,14 +2,21 @@
 
 A number far beyond what the arm can do is most often one in another unit. Where that would explain it, the error says so.
 All doors that take cable lengths, positions or poses from outside ask here; what comes from the package itself is trusted.
+What JAX traces has no values yet: its shape and kind are all that is looked at.
 """
 
+import math
+from typing import Any
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from qjrl.config import ConfigError
+from qjrl.robot.kinds import Robot, require_robot, verb
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
-from qjrl.robot.unit_hints import length_hint
-from qjrl.robot.verbs import Robot, cable_strokes
+from qjrl.robot.unit_hints import bend_hint, length_hint
 
 # Of a path's positions: rolling joints carry the tip a little further than the straight arm's length.
 REACH_MARGIN = 1.05
@@ -19,6 +26,106 @@ FARTHEST_TARGET = 100.0
 LARGEST_COMMAND = 20.0
 # Of a file of cable lengths, in strokes of the cable.
 LARGEST_PLANNED = 1.25
+
+
+def real_numbers(value: Any, where: str) -> Any:
+    """The array that `value` is or makes, if it holds real numbers and nothing else.
+
+    Raises:
+        ConfigError: texts, truth values, complex numbers, a masked array, rows of unequal length.
+    """
+    if isinstance(value, np.ma.MaskedArray):
+        raise ConfigError(f"{where}: got a masked array, allowed: real numbers; leave the masked rows out")
+    try:
+        is_traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+        array = value if hasattr(value, "dtype") else jnp.asarray(value) if is_traced else np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{where}: got rows of unequal length, allowed: an array of real numbers") from error
+    if not (jnp.issubdtype(array.dtype, jnp.floating) or jnp.issubdtype(array.dtype, jnp.integer)):
+        raise ConfigError(f"{where}: got {array.dtype.name} values, allowed: real numbers")
+    return array.astype(np.float64) if array.dtype.itemsize > 8 else array  # JAX has no wider ones
+
+
+def one_sample(value: Any, shape: tuple[int, ...], where: str) -> jax.Array:
+    """One sample as an array.
+
+    Raises:
+        ConfigError: it is not real or not finite, or has another shape: JAX's indexing would take some of it, or repeat
+            the last.
+    """
+    array = jnp.asarray(real_numbers(value, where))
+    if jnp.issubdtype(array.dtype, jnp.integer):  # what is computed from it must not be cut to integers
+        array = array.astype(float)
+    if array.shape != shape:
+        raise ConfigError(
+            f"{where}: got the shape {array.shape}, allowed: {shape}, one sample; jax.vmap maps over many"
+        )
+    if not _is_traced(array) and not (is_finite := np.isfinite(np.asarray(array))).all():
+        index = np.argwhere(~is_finite)[0]
+        raise ConfigError(f"{where}: got {array[tuple(index)]} at {index.tolist()}, allowed: finite numbers")
+    return array
+
+
+def one_configuration(robot: Robot, value: Any) -> jax.Array:
+    """One configuration, bends (num_segments, 2), each shorter than 1.
+
+    Raises:
+        ConfigError: see `one_sample`; or a bend of 180 degrees and more.
+    """
+    require_robot(robot)
+    bends = one_sample(value, (robot.num_segments, 2), "configuration")
+    if _is_traced(bends):
+        return bends
+    sizes = np.linalg.norm(np.asarray(bends), axis=1)
+    if sizes.max() >= 1.0:
+        segment = int(np.argmax(sizes))
+        raise ConfigError(
+            f"configuration: segment {segment} (the first is 0): got a bend of length {sizes[segment]:.4g}, allowed: below 1, "
+            f"sin(theta/2) (cos phi, sin phi){bend_hint(float(sizes[segment]))}"
+        )
+    return bends
+
+
+def one_of_lengths(robot: Robot, value: Any) -> jax.Array:
+    """One row of cable lengths (num_cables,) [m] that cables can have.
+
+    Raises:
+        ConfigError: see `one_sample` and `check_cable_lengths`.
+    """
+    require_robot(robot)
+    lengths = one_sample(value, (robot.num_cables,), "lengths")
+    if not _is_traced(lengths, robot):
+        check_cable_lengths(robot, np.asarray(lengths)[None], "lengths")
+    return lengths
+
+
+def one_of_positions(robot: Robot, value: Any) -> jax.Array:
+    """One row of joint positions (nq,) of the MJCF.
+
+    Raises:
+        ConfigError: see `one_sample`.
+    """
+    require_robot(robot)
+    return one_sample(value, (robot.num_positions,), "positions")
+
+
+def check_angles(angles: Any, where: str) -> None:
+    """Refuse bend angles (...,) [rad] that no joint can have.
+
+    Raises:
+        ConfigError: not real, or beyond 180 degrees; what is not finite is left as it is.
+    """
+    if _is_traced(array := real_numbers(angles, where)):
+        return
+    largest = np.abs(np.asarray(array, np.float64)).max(initial=0.0, where=np.isfinite(array))
+    if largest > math.pi:
+        hint = "; in degrees? divide by 57.3" if largest <= 180.0 else ""
+        raise ConfigError(f"{where}: got {largest:.4g} rad, allowed: up to pi, a bend of 180 degrees{hint}")
+
+
+def _is_traced(*values: Any) -> bool:
+    """Whether JAX knows no numbers of them yet."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
 def straight_length(robot: Robot) -> float:
@@ -39,7 +146,8 @@ def check_cable_lengths(
     Raises:
         ConfigError: one line with row and cable.
     """
-    allowed = strokes * np.asarray(cable_strokes(robot))
+    with jax.ensure_compile_time_eval():
+        allowed = strokes * np.asarray(verb(robot, "cable_strokes")(robot))
     share = np.abs(lengths) / allowed
     if share.size == 0 or share.max() <= 1.0:
         return

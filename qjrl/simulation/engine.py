@@ -3,21 +3,20 @@
 Engines are pytrees, arguments of compiled programs: numbers of the robot are leaves, the time step is static.
 """
 
-import dataclasses
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.simulation.stepping import LARGEST_VALUE, PhysicalParameters, PlantState
 
 EngineKind = Literal["minimal", "mjx", "mjx-warp"]
 """The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class EngineConfig:
     """Group `engine`: what policies train in."""
 

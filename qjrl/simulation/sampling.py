@@ -1,6 +1,5 @@
 """A data set of settled poses: low-discrepancy bends, their cable lengths, and where the physics rests."""
 
-import dataclasses
 import os
 import shutil
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 from scipy.stats import qmc
 
 from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest, remove_unfinished
-from qjrl.config import ConfigError, NotIdentity, Range
+from qjrl.config import ConfigError, NotIdentity, Range, configuration
+from qjrl.records import check_record
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot
@@ -23,7 +23,7 @@ COPIES_IN_MEMORY = 3
 """Of each row, where a data set is used: the shards, their columns joined, and what a model is fitted on."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class SampleConfig:
     """Group `sample`."""
 
@@ -64,7 +64,7 @@ def sample_dataset(
     listed = shards_done(directory, identity)
     if listed and (found := read_manifest(directory).get("settings")) not in (None, settings):
         raise ArtifactError(f"{directory}: holds rows of other settings: {differences(found, settings)}")
-    missing = _missing_ranges(sample, listed)
+    missing = _missing_ranges(sample, listed, directory)
     _check_room(robot, sample, sum(count for _, count in missing), directory)
     remove_unfinished(directory)
     for first_row, count in missing:
@@ -75,6 +75,14 @@ def sample_dataset(
 def shards_done(directory: Path, identity: str) -> list[dict[str, Any]]:
     """What the manifest of a data set lists already."""
     return read_manifest(directory, identity)["shards"] if (directory / MANIFEST).exists() else []
+
+
+def check_placed(directory: Path, manifest: dict[str, Any]) -> None:
+    """Raises an ArtifactError unless a manifest says which rows each of its files holds, and of which settings."""
+    path = directory / MANIFEST
+    for entry in manifest["shards"]:
+        check_record(path, entry, {"first_row": int}, "a manifest of one part among several")
+    check_record(path, manifest, {"settings": dict}, "a manifest of one part among several")
 
 
 def rows_done(directory: Path, identity: str) -> int:
@@ -145,9 +153,11 @@ def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[s
     }
 
 
-def _missing_ranges(sample: SampleConfig, listed: list[dict[str, Any]]) -> list[tuple[int, int]]:
+def _missing_ranges(sample: SampleConfig, listed: list[dict[str, Any]], directory: Path) -> list[tuple[int, int]]:
     """First row and number of rows of each file still to be made."""
     if sample.shard is not None:
+        if listed:
+            check_placed(directory, read_manifest(directory))
         done = {(shard["first_row"], shard["rows"]) for shard in listed}
         return [file for file in part_ranges(sample) if file not in done]
     starts = range(sum(shard["rows"] for shard in listed), sample.num_samples, sample.shard_size)

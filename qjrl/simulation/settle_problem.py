@@ -7,14 +7,14 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from qjrl.config import NotIdentity, Range
+from qjrl.config import NotIdentity, Range, configuration
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 
 Backend = Literal["mujoco", "mjx", "mjx-warp"]
 """C MuJoCo on the CPU's cores; MJX, float32, for accelerators, in JAX's operations or in the kernels of NVIDIA's Warp."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class SettleConfig:
     """How to settle (group `simulation`).
 

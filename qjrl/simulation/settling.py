@@ -8,8 +8,11 @@ import jax
 import numpy as np
 from flax import struct
 
+from qjrl.config import ConfigError
+from qjrl.field_words import show
 from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
-from qjrl.robot.plausibility import check_cable_lengths
+from qjrl.robot.kinds import require_robot
+from qjrl.robot.plausibility import check_cable_lengths, real_numbers
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.row_by_row import row_by_row
@@ -75,12 +78,15 @@ def settle(
     Raises:
         ValueError: wrong shape, non-finite lengths or such as no cable of the robot can have, unknown backend.
     """
-    config = config or SettleConfig()
+    require_robot(robot)
+    config = SettleConfig() if config is None else config
+    if not isinstance(config, SettleConfig):
+        raise ConfigError(f"config: got {show(config)}, allowed: a SettleConfig")
     if backend is not None:
         if backend not in get_args(Backend):
             raise ValueError(f"backend: got {backend!r}, allowed: {', '.join(get_args(Backend))}")
         config = dataclasses.replace(config, backend=backend)
-    lengths = np.asarray(cable_lengths, dtype=np.float64)
+    lengths = np.asarray(real_numbers(cable_lengths, "cable_lengths"), dtype=np.float64)
     if lengths.ndim != 2 or lengths.shape[1] != robot.num_cables:
         raise ValueError(f"cable_lengths: got shape {lengths.shape}, allowed: (n, {robot.num_cables})")
     if not np.all(np.isfinite(lengths)):

@@ -8,7 +8,7 @@ from typing import Any
 
 from qjrl.artifacts import MANIFEST, ArtifactError, hash_of_file, place_copy, read_manifest, write_json
 from qjrl.kept import is_kept
-from qjrl.simulation.sampling import differences
+from qjrl.simulation.sampling import check_placed, differences
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,6 +44,7 @@ def join_parts(parts: Path, directory: Path, robot_hash: str, settings: dict[str
     """
     manifests = {part: read_manifest(part, robot_hash) for part in part_directories(parts)}
     for part, manifest in manifests.items():
+        check_placed(part, manifest)
         if unlike := differences(manifest["settings"], settings):
             raise ArtifactError(f"{part}: was made with another configuration: {unlike}; {_way_out(parts)}")
     shards = [_Shard(part, entry) for part, manifest in manifests.items() for entry in manifest["shards"]]

@@ -1,13 +1,12 @@
 """What an arm is and does: its counts, strokes and reach, and how it rests over its workspace."""
 
-import dataclasses
 from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, strand_lengths
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
@@ -26,7 +25,7 @@ _MUCH_STRETCH = 0.002
 _DIVERGENCE_DEG = 180.0
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DescribeConfig:
     """Group `describe`."""
 

@@ -12,14 +12,14 @@ import numpy as np
 import optax
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths, cable_strokes
 from qjrl.solvers.result import SolveResult, check_targets, describe_solution
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class AdamConfig:
     """Group `ik`. Iterations, rate and restarts: paper 000, section 4; its loss weights are not printed: ours."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.forward_model import pose_function
 from qjrl.robot.verbs import Robot, cable_lengths
 from qjrl.solvers.batching import in_batches
@@ -20,7 +20,7 @@ from qjrl.solvers.fabrik_reach import Goal, goal_of, reach, tip_distance
 from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class FabrikConfig:
     """Iterations and tolerances; the paper prints the tolerances alone (section 5.2), the rest is ours."""
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.quaternion_arm.joint import vectors_from_bends
 from qjrl.robot.verbs import Robot
@@ -27,7 +27,7 @@ from qjrl.solvers.result import (
 )
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class RoundConfig:
     """What every target that is not solved yet gets next."""
 
@@ -37,7 +37,7 @@ class RoundConfig:
     """Steps of each at most."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class LeastSquaresConfig:
     """Solver settings; ours."""
 

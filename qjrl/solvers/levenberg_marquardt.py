@@ -14,14 +14,14 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.geometry import cholesky, lanes
 from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.model_tip import TipFunction
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DescentConfig:
     """One descent from one start; all values ours."""
 

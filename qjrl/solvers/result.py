@@ -9,7 +9,8 @@ from flax import struct
 
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions
+from qjrl.robot.kinds import require_robot
+from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions, real_numbers
 from qjrl.robot.verbs import Robot, bends_from_cables, strand_tension
 
 
@@ -57,7 +58,8 @@ def check_targets(robot: Robot, targets) -> np.ndarray:
         ValueError: wrong shape, non-finite values, columns that are not those of a rotation, or a position so far away that
             there is no sense in the nearest answer.
     """
-    targets = np.asarray(targets, np.float64)
+    require_robot(robot)
+    targets = np.asarray(real_numbers(targets, "targets"), np.float64)
     if targets.ndim != 2 or targets.shape[1] != 9 or len(targets) == 0:
         raise ValueError(
             f"targets: got shape {targets.shape}, allowed: (n, 9) with n at least 1, position [m] and two columns of a rotation"
@@ -81,7 +83,7 @@ def check_initial_bends(robot: Robot, bends, count: int) -> np.ndarray:
     Raises:
         ValueError: wrong shape, non-finite values, or |a| of 1 or more.
     """
-    bends, expected = np.asarray(bends, np.float64), (robot.num_segments, 2)
+    bends, expected = np.asarray(real_numbers(bends, "initial_bends"), np.float64), (robot.num_segments, 2)
     if bends.shape not in (expected, (count, *expected)):
         raise ValueError(f"initial_bends: got shape {bends.shape}, allowed: {expected} or {(count, *expected)}")
     if not np.all(np.linalg.norm(bends, axis=-1) < 1.0):

@@ -25,6 +25,7 @@ from qjrl.records import NUMBER, Kinds
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stages.ik import TARGET_COLUMNS, read_targets
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +60,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `outcomes.npz` and `report.html`; the table goes to the log."""
     robot, measured = robot_from_mapping(config.robot), _measured(inputs)
-    targets = artifacts.load(inputs["ik"] / "held_out.npz")
+    targets = read_targets(inputs["ik"] / "held_out.npz", _NEEDED)
     policy = load_policy(inputs["policy"] / "policy")
     total = (len(BASES) + 1) * len(targets["target"]) * config.policy.environment.episode_steps
     with progress.track(total, "comparing controllers") as advance:
@@ -216,6 +217,9 @@ def _policy_section(records: list[dict], trained: dict):
     )
 
 
+_NEEDED = (
+    *TARGET_COLUMNS, "learned_joint_positions", "learned_settled", "predicted_position_error", "learned_position_error"
+)  # fmt: skip
 _UNTRAINED = "No trained checkpoint beat the base: the residual kept is the untrained one, which equals its base"
 _RESULTS_TEXT = (
     "One episode of four seconds a target, from home: strand friction, damping, inertia, gains and the base's tilt are "

@@ -37,6 +37,7 @@ from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +75,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     recorded = load_record(_where(settings.replay, out), robot_hash(robot)) if settings.replay else None
     environment = environment_of(config.policy.environment, config.policy.base)
     policy = checked_policy(environment.controller, robot, load_policy(inputs["policy"] / "policy"))
-    targets = _targets(config, robot, artifacts.load(inputs["ik"] / "held_out.npz"))
+    columns = ("target", command_column(config.policy.base))
+    held_out = read_targets(inputs["ik"] / "held_out.npz", columns)
+    targets = _targets(config, robot, held_out)
     arm = SimulatedArm(robot, environment.randomisation, config.simulation.timestep, config.seed)
     export = _export(config, robot, environment, policy, arm, targets)
     provenance = read_provenance(out)

@@ -15,6 +15,7 @@ from qjrl.measured import read_progress
 from qjrl.records import NUMBER, check_record
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
+from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +37,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `checkpoints/`, `progress.jsonl`, `physics_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
     robot = robot_from_mapping(config.robot)
-    targets = artifacts.load(inputs["ik"] / "bank.npz")
+    targets = read_targets(inputs["ik"] / "bank.npz")
     trained = train_policy(robot, config.engine, config.policy, targets, config.seed, out)
     if not processes.is_first():
         return

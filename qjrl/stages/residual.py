@@ -24,6 +24,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
+from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +45,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `traces.npz`, `table.md`, the figures, and a directory for each ablation."""
     robot, settings = robot_from_mapping(config.robot), config.residual
-    held_out, bank = (artifacts.load(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
+    held_out, bank = (read_targets(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
     subject = make_subject(robot, config.engine, config.policy, held_out, settings.num_targets, config.seed)
     traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
     artifacts.write_arrays(out / "traces.npz", traces | {"target_set": subject.targets["target_set"]})

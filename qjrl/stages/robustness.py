@@ -19,6 +19,7 @@ from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +46,7 @@ class Config:
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `outcomes.npz`, `table.md` and a figure for every target set; table and verdict go to the log."""
     robot, settings = robot_from_mapping(config.robot), config.robustness
-    targets = artifacts.load(inputs["ik"] / "held_out.npz")
+    targets = read_targets(inputs["ik"] / "held_out.npz")
     policy = load_policy(inputs["policy"] / "policy")
     rows = len(disturbances(settings, config.policy.environment)) * len(TARGET_SETS) * settings.num_targets
     controllers = 1 + len({*settings.bases, config.policy.base})

@@ -268,3 +268,45 @@ def test_a_run_that_is_terminated_leaves_no_folder_behind(tmp_path) -> None:
         assert process.wait(30) == -signal.SIGTERM
     assert {path.name for path in tmp_path.iterdir()} == {"mine.yaml", ".qjrl-old", "outputs"}
     assert json.loads((tmp_path / "outputs/default/summary.json").read_text())["status"] == "running"
+
+
+# --- robot files and the place of the output ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("mine.yaml", ARM.replace("link_length: 0.030", "link_length: -1"), "robot.link_length: got -1"),
+        ("MINE.YAML", ARM.replace("name: qj_22", 'name: ""'), "robot.name: got ''"),
+        ("mine.yml", "robot:\n" + "".join(f"  {line}\n" for line in ARM.splitlines()), "without robot: above them"),
+        ("mine.yaml", ARM.encode("utf-16"), "it is in UTF-16, allowed: UTF-8; save it as UTF-8"),
+        ("mine.yaml", ARM.encode("utf-16-le"), "save it as UTF-8"),
+        ("mine.yaml", (ARM + "# 关节\n").encode("gbk"), "save it as UTF-8"),
+    ],
+    ids=range(6),
+)
+def test_both_doors_name_the_robot_s_file_and_what_is_wrong_in_it(qjrl: Command, name, content, words) -> None:
+    Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ConfigError) as error:
+        load_robot(name)
+    assert str(error.value).startswith(f"{name}: ") and words in str(error.value)
+    assert_one_line(qjrl(f"robot={name}", "stages=[first]"), str(error.value))
+
+
+def test_a_value_that_the_command_changes_is_not_blamed_on_the_file(qjrl: Command) -> None:
+    Path("mine.yaml").write_text(ARM)
+    said = qjrl("robot=mine.yaml", "robot.link_length=-2", "stages=[first]")
+    assert_one_line(said, "robot.link_length: got -2")
+    assert "mine.yaml" not in said.err
+
+
+def test_a_place_where_nothing_can_be_written_is_an_error_of_the_machine(qjrl: Command, tmp_path) -> None:
+    Path("outputs").symlink_to(tmp_path / "nowhere" / "deep")
+    assert_one_line(qjrl("stages=[first]"), "outputs: cannot be made", "a link to", code=1)
+    assert_one_line(qjrl("stages=[first]", "hydra.run.dir=/proc/qjrl"), "/proc/qjrl: cannot be made", code=1)
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    os.chdir(gone)
+    gone.rmdir()
+    assert_one_line(qjrl("stages=[first]"), "the current directory does not exist any more", code=1)
+    os.chdir(tmp_path)

@@ -167,3 +167,20 @@ def test_pins_too_far_apart_are_refused_in_every_size_and_what_is_named_is_allow
     named = float(str(refused.value).split("up to about ")[1].split()[0])
     pins = 0.995 * named / factor
     assert build_mjcf(scaled("qj_22", factor, joint__crossed_link_length=0.036, joint__pin_distance=pins))
+
+
+def test_names_and_homes_of_robots(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "MY.YAML").write_text(yaml.safe_dump(altered("qj_22", name="my")))
+    assert load_robot("~/MY.YAML").name == "my"
+    for name in ("", " ", "a\nb", "a" * 5000):
+        with pytest.raises(ConfigError, match=r"^robot\.name: got .*allowed: a text on one line") as error:
+            robot_from_mapping(altered("qj_22", name=name))
+        assert len(str(error.value)) < 200 and "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match="known: qj_22, qj_2222,"):
+        load_robot(tmp_path)
+
+
+def test_numbers_of_numpy_describe_the_same_arm():
+    given = robot_from_mapping(altered("qj_22", link_length=np.float64(0.03), joints_per_segment=np.array([2, 2])))
+    assert robot_hash(given) == robot_hash(load_robot("qj_22"))

@@ -1,5 +1,10 @@
 """Numbers in another unit are refused where they enter, and the unit is named; what an arm can have is let through."""
 
+import dataclasses
+import inspect
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,8 +12,10 @@ from arms import SHIPPED, altered, arm_named, over_rows, random_bends
 
 from qjrl.config import ConfigError
 from qjrl.robot import (
+    bends_from_angles,
     bends_from_cables,
     cable_lengths,
+    configuration_from_joint_positions,
     equilibrium,
     forward_kinematics,
     joint_positions,
@@ -17,7 +24,8 @@ from qjrl.robot import (
     strand_lengths,
     strand_tension,
 )
-from qjrl.robot.plausibility import check_cable_lengths, check_positions, straight_length
+from qjrl.robot.kinds import require_robot
+from qjrl.robot.plausibility import check_cable_lengths, check_positions, one_sample, straight_length
 from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation import settle
 from qjrl.simulation.survey import warnings_about
@@ -132,3 +140,108 @@ def test_lengths_of_another_arm_are_refused_by_every_verb(shape):
     for verb in (bends_from_cables, strand_commands, equilibrium, strand_tension):
         with pytest.raises(ValueError, match=r"lengths: got the shape .*, allowed: \(4,\)"):
             verb(ARM, jnp.zeros(shape))
+
+
+BEND_VERBS = (forward_kinematics, cable_lengths, strand_lengths, joint_positions)
+LENGTH_VERBS = (bends_from_cables, strand_commands, equilibrium, strand_tension)
+
+
+def refused(words: str, verb, *arguments) -> None:
+    with pytest.raises(ConfigError) as error:
+        verb(*arguments)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("bends", "words"),
+    [
+        ([[0.2, 0.1], [0.8, 0.7]], "segment 1 (the first is 0): got a bend of length 1.063, allowed: below 1"),
+        ([[0.0, 1.2], [0.1, 0.0]], "angles in radians? bends_from_angles"),
+        ([[20.0, 0.0], [0.1, 0.0]], "angles in degrees? bends_from_angles"),
+        ([[np.nan, 0.0], [0.1, 0.0]], "got nan at [0, 0], allowed: finite numbers"),
+    ],
+)
+def test_bends_that_no_joint_has_are_refused_by_every_verb(bends, words):
+    for verb in BEND_VERBS:
+        refused(words, verb, ARM, np.array(bends))
+
+
+def test_lengths_in_millimetres_are_refused_by_every_verb():
+    lengths = 1000.0 * np.asarray(cable_lengths(ARM, jnp.array([[0.2, 0.1], [0.0, -0.3]])))
+    for verb in LENGTH_VERBS:
+        refused("in millimetres? divide by 1,000", verb, ARM, lengths)
+        refused("finite numbers", verb, ARM, np.full(4, np.inf))
+
+
+NO_REAL_NUMBERS = (
+    (lambda values: np.ma.masked_array(values, mask=np.zeros_like(values)), "masked array"),
+    (lambda values: values + 0.1j, "complex128 values"),
+    (lambda values: values.astype(str), "allowed: real numbers"),
+    (lambda values: values.astype(object), "object values"),
+    (lambda values: values.astype(bool), "bool values"),
+)
+
+
+@pytest.mark.parametrize(("change", "words"), NO_REAL_NUMBERS, ids=range(5))
+def test_arrays_of_anything_but_real_numbers_are_refused_at_every_door(change, words):
+    bends, lengths, targets = np.zeros((2, 2)), np.zeros(4), np.zeros((1, 9))
+    for verb in BEND_VERBS:
+        refused(words, verb, ARM, change(bends))
+    for verb in LENGTH_VERBS:
+        refused(words, verb, ARM, change(lengths))
+    refused(words, settle, ARM, change(lengths[None]))
+    refused(words, solve_least_squares, ARM, change(targets))
+    refused(words, bends_from_angles, change(lengths), change(lengths))
+
+
+def test_rows_of_unequal_length_are_one_line():
+    refused("rows of unequal length", one_sample, [[0.0, 0.1], [0.0]], (2, 2), "here")
+
+
+def test_joint_positions_have_the_shape_of_the_arm():
+    for name in ("qj_22", "qj_2222_spherical"):
+        arm = arm_named(name)
+        bends = jnp.asarray(random_bends(arm, 1)[0])
+        positions = joint_positions(arm, bends)
+        assert positions.shape == (arm.num_positions,)
+        np.testing.assert_allclose(configuration_from_joint_positions(arm, positions), bends, atol=1e-12)
+        twice = jnp.concatenate([positions, positions])
+        refused("positions: got the shape", configuration_from_joint_positions, arm, twice)
+
+
+def test_angles_in_degrees_are_refused_and_every_bend_of_a_joint_is_let_through():
+    refused("got 40 rad, allowed: up to pi, a bend of 180 degrees; in degrees?", bends_from_angles, 0.0, 40.0)
+    assert np.isfinite(bends_from_angles(np.array([0.0, 1.0]), np.array([3.1, -0.5]))).all()
+
+
+def test_whole_numbers_are_computed_with_as_real_ones():
+    assert one_sample([0, 1], (2,), "here").dtype == one_sample([0.0, 1.0], (2,), "here").dtype
+    np.testing.assert_array_equal(strand_commands(ARM, jnp.zeros(4, int)), strand_commands(ARM, jnp.zeros(4)))
+
+
+def test_what_is_traced_is_not_looked_at_and_gives_what_it_gave():
+    """Closed over or mapped, robot and values are unknown while JAX traces; a constant among them is known."""
+    far = jnp.full((3, 2, 2), 20.0)
+    assert jax.vmap(lambda bends: forward_kinematics(ARM, bends))(far).shape == (3, 9)
+    lengths: Any = np.full(4, 0.01)
+    inside = jax.jit(lambda: bends_from_cables(ARM, lengths))()
+    np.testing.assert_allclose(inside, bends_from_cables(ARM, lengths), atol=1e-15)
+    wider = lambda diameter: dataclasses.replace(ARM, hole_circle_diameter=diameter)  # noqa: E731
+    assert np.isfinite(jax.jacfwd(lambda value: bends_from_cables(wider(value), lengths))(0.031)).all()
+
+
+def test_random_bends_are_refused_exactly_from_180_degrees_on():
+    random = np.random.default_rng(3)
+    for _ in range(30):
+        bends = random.normal(size=(2, 2)) * random.choice([0.3, 1.0])
+        if np.linalg.norm(bends, axis=1).max() < 1.0:
+            assert np.isfinite(forward_kinematics(ARM, bends)).all()
+        else:
+            refused("allowed: below 1", forward_kinematics, ARM, bends)
+
+
+def test_what_is_no_robot_is_one_line():
+    """Where no checker of types stands before the functions, as it does in these tests."""
+    refused("robot: got 'qj_22', allowed: what load_robot returns", require_robot, "qj_22")
+    refused("robot: got [1], allowed: a mapping", inspect.unwrap(robot_from_mapping), [1])
+    assert one_sample(np.zeros(2, np.longdouble), (2,), "here").dtype == np.float64

@@ -161,7 +161,7 @@ def test_a_diverged_arm_is_flagged_and_the_others_go_on():
 
 
 def test_an_absurd_speed_counts_as_divergence_and_stays_that_until_the_reset():
-    stepper = begun(MinimalStepper(ARM, 3))
+    stepper: Any = begun(MinimalStepper(ARM, 3))
     moving = stepper._state.state.moving
     rates = moving.rates.at[1, 0, 0].set(1e6)
     stepper._state = stepper._state.replace(state=stepper._state.state.replace(moving=moving.replace(rates=rates)))

@@ -161,3 +161,9 @@ def test_1000_commands_rest_where_a_fixed_long_settle_from_home_with_the_robot_s
     assert rows["converged"].all()
     off = 1e3 * np.linalg.norm(tip - rows["pose"][:, :3], axis=1)
     assert np.sum(off > 0.02) <= 1 and off.max() < 0.03  # one creeps on below the rest speed: 0.027 mm, the next 0.006
+
+
+def test_settings_made_in_python_are_held_against_their_ranges():
+    for field, value in (("timestep", -1.0), ("timestep", 1.0), ("max_time", 0.0), ("batch_size", 0)):
+        with pytest.raises(ValueError, match=rf"SettleConfig\.{field}: got .*allowed: "):
+            dataclasses.replace(SettleConfig(), **{field: value})

@@ -16,7 +16,7 @@ from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError, build
 from qjrl.robot import robot_hash
 from qjrl.simulation import sampling
-from qjrl.simulation.sampling import SampleConfig, num_rows, part_ranges, row_settings, sample_dataset
+from qjrl.simulation.sampling import SampleConfig, check_placed, num_rows, part_ranges, row_settings, sample_dataset
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.sharding import join_parts
 
@@ -189,3 +189,14 @@ def test_10_kills_at_random_moments_lose_nothing(tmp_path):
 @pytest.mark.slow
 def test_100_kills_at_random_moments_lose_nothing(tmp_path):
     assert_kills_leave_the_uninterrupted_data_set(tmp_path, 100)
+
+
+def test_a_manifest_that_does_not_say_which_rows_it_holds_is_one_line(tmp_path):
+    manifest = {"shards": [{"name": "shard-00000.npz", "rows": 4, "sha256": ""}], "settings": {}}
+    with pytest.raises(ArtifactError, match=r"manifest\.json: .*first_row is missing"):
+        check_placed(tmp_path, manifest)
+    manifest["shards"][0]["first_row"] = 0
+    check_placed(tmp_path, manifest)
+    del manifest["settings"]
+    with pytest.raises(ArtifactError, match="settings is missing"):
+        check_placed(tmp_path, manifest)

@@ -25,6 +25,7 @@ from qjrl.pipeline import STAGES
 from qjrl.robot import load_robot, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
+from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.sampling import SampleConfig
 from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
 from qjrl.solvers.least_squares import RoundConfig

@@ -43,7 +43,10 @@ def trained(tmp_path, monkeypatch, caplog):
         return Trained()
 
     def run(starts_at_zero: bool) -> tuple[dict[str, Any], str]:
-        artifacts.write_arrays(tmp_path / "ik" / "bank.npz", {"target": np.zeros((1, 9))})
+        artifacts.write_arrays(
+            tmp_path / "ik" / "bank.npz",
+            dict.fromkeys(("target", "target_set", "nominal_lengths", "learned_lengths"), np.zeros((1, 9))),
+        )
         monkeypatch.setattr(policy, "train_policy", train_policy)
         (tmp_path / "policy").mkdir()
         with caplog.at_level("INFO"):

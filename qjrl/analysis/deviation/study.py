@@ -18,7 +18,7 @@ from qjrl.analysis.deviation.effects import (
     settled_effects,
 )
 from qjrl.analysis.tables import Column, Table
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.verbs import Robot
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.settling import SLACK_TENSION
@@ -29,7 +29,7 @@ AS_DESCRIBED = "as described"
 """Label of the robot's own joint."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class JointVariant:
     """A joint of the robot's height at home with other pins."""
 
@@ -41,7 +41,7 @@ class JointVariant:
     """d [m]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DeviationConfig:
     """Group `elliptical_deviation`."""
 

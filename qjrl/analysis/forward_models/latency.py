@@ -1,6 +1,5 @@
 """How long a forward model takes on this machine: one row at a time, and in a batch. Compilation is in no time."""
 
-import dataclasses
 import time
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -8,12 +7,12 @@ from typing import Annotated, Any
 import jax
 import jax.numpy as jnp
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.forward_model import ForwardModel, pose_function
 from qjrl.robot.verbs import Robot, cable_strokes
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class LatencyConfig:
     """How often is measured; the medians count."""
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.analysis.forward_models.latency import LatencyConfig, measure_latency
-from qjrl.config import Range, as_mapping
+from qjrl.config import Range, as_mapping, configuration
 from qjrl.measured import read_progress
 from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, pose_function
 from qjrl.robot.model_fitting import Rows, fit_rows, pose_errors, settled_split
@@ -23,7 +23,7 @@ from qjrl.robot.verbs import Robot
 NumRows = Annotated[int, Range(10)]
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ModelStudyConfig:
     """Group `model_study`; all fits are of one seed."""
 

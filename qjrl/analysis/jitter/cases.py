@@ -3,7 +3,7 @@
 import dataclasses
 from typing import Annotated
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.simulation.cable_models import CableModel
 
 MJX_SERVO_ITERATIONS = 3
@@ -19,7 +19,7 @@ HARD, DEFAULT = "limits, hard rows", "limits, MuJoCo's rows"
 HARD_BALANCED, DEFAULT_BALANCED = "limits, hard rows, balanced", "limits, MuJoCo's rows, balanced"
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class LimitRows:
     """How hard the rows of tendon limits are."""
 
@@ -29,7 +29,7 @@ class LimitRows:
     """First two numbers of solimp: at the limit, and 1 mm beyond it."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class JitterConfig:
     """Group `jitter`."""
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot import bends_from_angles, forward_kinematics, load_robot
 from qjrl.robot.verbs import Robot
 from qjrl.solvers import (
@@ -25,7 +25,7 @@ from qjrl.solvers.fabrik import watch_fabrik
 from qjrl.solvers.least_squares import RoundConfig
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class CaseConfig:
     """An arm and the range its targets are drawn from; the arm's own joint limits hold besides."""
 
@@ -39,7 +39,7 @@ class CaseConfig:
         return f"{self.robot} ±{self.largest_angle_deg:g}°"
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class Table3Config:
     """Group `table3`."""
 

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.analysis.workspace.occupancy import RingGrid
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class OrientationBins:
     """Bins of equal volume in SO(3): R = Rz(a) Ry(t) Rz(-a) Rz(s), even in a, cos t and s."""
 
@@ -35,7 +35,7 @@ class OrientationBins:
         return self.num_directions * self.spins
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DexterityGrid:
     """Places that are pairs of a ring and an orientation bin."""
 

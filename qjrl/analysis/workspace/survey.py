@@ -13,12 +13,12 @@ from qjrl.analysis.workspace.occupancy import RingGrid, VoxelGrid, extrapolated,
 from qjrl.analysis.workspace.tip_clouds import BATCH, LAWS, count_hits, draw_tips
 from qjrl.analysis.workspace.unseen import VolumeEstimate, estimate_volume
 from qjrl.analysis.workspace.voxel_check import VoxelCheck, check_voxels
-from qjrl.config import Range, as_mapping
+from qjrl.config import Range, as_mapping, configuration
 from qjrl.robot import load_robot, robot_from_mapping
 from qjrl.robot.verbs import Robot
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ArmConfig:
     """One arm whose workspace is measured."""
 
@@ -32,7 +32,7 @@ class ArmConfig:
     """Whether the other arms are compared with it."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class WorkspaceConfig:
     """Group `workspace`."""
 

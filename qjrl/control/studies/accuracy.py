@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.inversion import IKConfig
 from qjrl.control.studies.feasibility import UnreachableConfig
 from qjrl.control.studies.feedback import Corrected, MeasurementNoise, measure_and_correct
@@ -19,7 +19,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.solvers import FabrikConfig, SolveResult
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class AccuracyConfig:
     """Group `accuracy`."""
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.inversion import IKConfig, solve_model
 from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_errors
 from qjrl.geometry.rotations import rotation_y, rotation_z
@@ -25,7 +25,7 @@ KINDS = ("far", "turned")
 """Of targets out of reach: positions beyond the arm's length; reachable positions with a rotation turned away."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class UnreachableConfig:
     """Targets out of reach, made of reachable ones."""
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import jax
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_errors
 from qjrl.geometry.rotations import rotation_x, rotation_y, rotation_z
 from qjrl.robot.forward_model import PoseFunction, pose_function
@@ -23,7 +23,7 @@ from qjrl.solvers.least_squares import RoundConfig
 _ONE_DESCENT = (RoundConfig(1, 20),)
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MeasurementNoise:
     """Of a pose measurement, normal, independent in every axis."""
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.keys import seed_for
@@ -20,7 +20,7 @@ CONTROLLERS = ("fabrik", "least_squares", "learned_ik")
 """What `first_commands` asks, in the order of tables."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class OpenLoopConfig:
     """Group `open_loop`."""
 

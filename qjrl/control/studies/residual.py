@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import Range, identity_of
+from qjrl.config import Range, configuration, identity_of
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.judging import Act, Judge, Judgement, first_in_time
@@ -37,7 +37,7 @@ _JUDGED = {"identity": str, "errors": {"base": _ERRORS, "policy": _ERRORS}}
 RIVAL: Base = "integral"
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ResidualStudyConfig:
     """Group `residual`."""
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.bases import Base, command_column
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.episode import EnvironmentConfig
@@ -21,7 +21,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 UNDISTURBED = "as trained"
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class RobustnessConfig:
     """Group `robustness`: how large the disturbances are, and who meets them. All but one thing is drawn as in training."""
 

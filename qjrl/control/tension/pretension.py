@@ -11,7 +11,7 @@ from typing import Annotated
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import path_poses
 from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
@@ -24,7 +24,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 Newtons = Annotated[float, Range(low=0.0, high=1e5)]
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class PretensionConfig:
     """Group `pretension`."""
 

@@ -15,12 +15,14 @@ from qjrl.robot.verbs import Robot
 from qjrl.table_file import Layout, Quantity, read_table
 
 _AXES, _COLUMNS = ("x", "y", "z"), ("xx", "xy", "xz", "yx", "yy", "yz")
+_NOTE = ", of the 3 x 3 matrix the first column, then the second"
+_POSE_NOTE = ", position, then of the 3 x 3 matrix the first column, then the second"
 POSITION = Quantity("position", _AXES, "m")
-QUATERNION = Quantity("quaternion", ("qw", "qx", "qy", "qz"))
+QUATERNION = Quantity("quaternion", ("qw", "qx", "qy", "qz"), note=", w first")
 """Without names, in an NPZ, w comes first."""
-ROTATION = Quantity("rotation", _COLUMNS)
+ROTATION = Quantity("rotation", _COLUMNS, note=_NOTE)
 """The first two columns of the rotation."""
-POSE = Quantity("pose", ("pose x", "pose y", "pose z", *_COLUMNS))
+POSE = Quantity("pose", ("pose x", "pose y", "pose z", *_COLUMNS), note=_POSE_NOTE)
 """Of an NPZ: position and rotation in one array."""
 POSE_LAYOUTS: tuple[Layout, ...] = ((POSITION,), (POSITION, QUATERNION), (POSITION, ROTATION), (POSE,))
 ALLOWED_COLUMNS = f"{','.join(_AXES)} [m], alone or with {','.join(QUATERNION.columns)} or with {','.join(_COLUMNS)}"
@@ -91,7 +93,9 @@ def _rotations(path: Path, turn: np.ndarray) -> Rotation:
     x, y = turn[:, :3], turn[:, 3:]
     gram = np.stack([np.sum(a * b, axis=1) for a, b in itertools.combinations_with_replacement((x, y), 2)], axis=1)
     _refuse_rows(
-        path, np.abs(gram - [1.0, 0.0, 1.0]).max(axis=1) > 1e-3, "is no rotation: its columns are not orthonormal"
+        path,
+        np.abs(gram - [1.0, 0.0, 1.0]).max(axis=1) > 1e-3,
+        f"is no rotation: its columns are not orthonormal; allowed{_NOTE.replace(',', ':', 1)},",
     )
     return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=2))
 

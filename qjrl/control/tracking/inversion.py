@@ -20,7 +20,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_array, diags_array, eye_array, vstack
 
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, Range, configuration
 from qjrl.control.tracking.chains import chained
 from qjrl.control.tracking.errors import model_poses, path_errors, pose_residual
 from qjrl.control.tracking.paths import ROTATION_WEIGHT, PosePath
@@ -30,7 +30,7 @@ from qjrl.robot.plausibility import check_positions
 from qjrl.robot.verbs import Robot
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class PathInversionConfig:
     """How the redundancy is used; all values ours."""
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from qjrl.config import ConfigError, Range
+from qjrl.config import ConfigError, Range, configuration
 from qjrl.control.tracking.files import read_points, smooth_curve
 from qjrl.robot.verbs import Robot
 from qjrl.table_file import FILE_KINDS
@@ -26,7 +26,7 @@ _FINE = 64
 """Points of a curve between two samples, to measure its length by."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class CircleConfig:
     """A circle, run through once from `start_deg`."""
 
@@ -54,7 +54,7 @@ class LineConfig:
     """[m]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class ShapeConfig:
     """What a path looks like."""
 

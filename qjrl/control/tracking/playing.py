@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.control.tracking.inversion import PathInversionConfig, path_errors
 from qjrl.control.tracking.paths import PosePath, ShapeConfig
 from qjrl.control.tracking.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
@@ -22,7 +22,7 @@ from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import PhysicalParameters, Stepper
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class TrackConfig:
     """Group `track`."""
 

@@ -13,10 +13,10 @@ from typing import Annotated
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MotionLimits:
     """Of every cable, beside the motors' speed; ours."""
 

@@ -1,15 +1,14 @@
 """The numbers of a PPO training."""
 
-import dataclasses
 from typing import Annotated, Literal
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.learning.ppo.dagger import DaggerConfig
 
 Width = Annotated[int, Range(1, 8192)]
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class PPOConfig:
     """Defaults are the customary ones of PPO (Schulman et al. 2017 and brax) unless a field says otherwise."""
 

@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.learning.ppo.policy import Policy, deterministic_action
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class DaggerConfig:
     """Rounds of acting and fitting."""
 

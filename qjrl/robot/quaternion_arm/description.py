@@ -1,6 +1,5 @@
 """What a quaternion-joint arm is: the values of its YAML, checked, and the pytree that the kinematics read."""
 
-import dataclasses
 import math
 from typing import Annotated, Literal
 
@@ -8,15 +7,18 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
+from qjrl.field_words import show
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 from qjrl.robot.unit_hints import length_hint
 
 Positive = Range(above=0.0)
 NonNegative = Range(low=0.0)
+LONGEST_NAME = 100
+"""Letters; reports and file formats carry it."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class JointConfig:
     """One quaternion joint: a crossed four-bar (antiparallelogram) between two plates."""
 
@@ -39,7 +41,7 @@ class JointConfig:
             )
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class CablesConfig:
     """Routing: one cable is a loop of two strands through opposite holes, driven by one motor."""
 
@@ -51,7 +53,7 @@ class CablesConfig:
     """The number each cable goes by on the machine, per segment."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MechanicsConfig:
     """Masses and passive forces; no field here is a solver setting."""
 
@@ -75,7 +77,7 @@ class MechanicsConfig:
     """Mass at the tip [kg]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class StrandsConfig:
     """A strand pulls and never pushes."""
 
@@ -93,7 +95,7 @@ class StrandsConfig:
     """Largest tension of a strand [N]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class MotorsConfig:
     """One motor a cable."""
 
@@ -105,7 +107,7 @@ class MotorsConfig:
     """[m]."""
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class QuaternionArmConfig:
     """The YAML of an arm (`kind: quaternion_arm`, `schema: 1`)."""
 
@@ -123,6 +125,8 @@ class QuaternionArmConfig:
     motors: MotorsConfig
 
     def __post_init__(self):
+        if not (self.name.strip() and self.name.isprintable() and len(self.name) <= LONGEST_NAME):
+            raise ValueError(f"name: got {show(self.name)}, allowed: a text on one line, up to {LONGEST_NAME} letters")
         num_segments = len(self.joints_per_segment)
         if num_segments == 0:
             raise ValueError("joints_per_segment: got [], allowed: at least one segment")
@@ -227,6 +231,11 @@ class QuaternionArm:
     @property
     def num_joints(self) -> int:
         return sum(self.joints_per_segment)
+
+    @property
+    def num_positions(self) -> int:
+        """Joint positions of the MJCF: four half angles a joint, and a slide where it rolls."""
+        return self.num_joints * (5 if self.joint_model == "rolling" else 4)
 
     @property
     def num_cables(self) -> int:

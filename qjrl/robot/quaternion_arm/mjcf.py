@@ -6,12 +6,11 @@ tied to theta. Compliance enters as named physical values only (joint stiffness,
 comes from hard rows, which `mjcf_ties` writes.
 """
 
-import dataclasses
 import math
 from typing import Annotated
 from xml.etree import ElementTree
 
-from qjrl.config import Range
+from qjrl.config import Range, configuration
 from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf_ties import (
@@ -32,7 +31,7 @@ CHORD_RADIUS, PAYLOAD_RADIUS = 0.3, 0.01
 STICKING = {"solreffriction": "0.008 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
 
 
-@dataclasses.dataclass(frozen=True)
+@configuration
 class SolverOptions:
     """Numerical settings of the physics: the settled pose must not depend on any of them."""
 
@@ -40,7 +39,7 @@ class SolverOptions:
     """Time step [s]; above 6 ms the strands' stiffness makes the integration chatter."""
     equality_time_constant: Annotated[float, Range(low=0.001, high=0.1)] = 0.008
     """First number of solref of the equality rows [s], at least two time steps."""
-    armature_scale: Annotated[float, Range(low=0.1, high=10.0)] = 1.0
+    armature_scale: Annotated[float, Range(above=0.0)] = 1.0
     """Factor on every armature."""
     damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 1.0
     """Factor on the joints' damping: speeds up settling, leaves the equilibrium where it is."""
