@@ -33,7 +33,7 @@ def configuration[T](cls: type[T]) -> type[T]:
     check = cls.__dict__.get("__post_init__", lambda self: None)
 
     def hold_values(self: Any) -> None:
-        kinds = _kinds(cls)
+        kinds = _kinds(type(self))  # a subclass has more fields
         for field in dataclasses.fields(self):
             value = _convert(getattr(self, field.name), kinds[field.name], f"{cls.__name__}.{field.name}")
             object.__setattr__(self, field.name, value)

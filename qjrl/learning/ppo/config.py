@@ -63,7 +63,7 @@ class PPOConfig:
     """Of both networks."""
     observation_clip: Annotated[float, Range(above=0)] = 10.0
     """Normalised observations are clipped to this many standard deviations."""
-    max_invalid_fraction: Annotated[float, Range(0, 1)] = 0.05
+    max_invalid_fraction: Annotated[float, Range(0, 0.99)] = 0.05
     """Stop with `TrainingDiverged` when more of an iteration's steps are not finite or diverged."""
     checkpoint_every: Annotated[int, Range(1)] = 10
     """Iterations between two checkpoints (and evaluations)."""
