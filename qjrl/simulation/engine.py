@@ -13,7 +13,9 @@ from qjrl.config import Range, configuration
 from qjrl.simulation.stepping import LARGEST_VALUE, PhysicalParameters, PlantState
 
 EngineKind = Literal["minimal", "mjx", "mjx-warp"]
-"""The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp."""
+"""The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp.
+
+C MuJoCo is none: it would ask the host at every step, at a quarter of the rate. It judges."""
 
 
 @configuration
