@@ -71,4 +71,9 @@ def show(value: Any) -> str:
     """The value as a user would recognise it, on one line, at most 80 characters."""
     names = {None: "null", True: "true", False: "false"}
     text = names[value] if value is None or isinstance(value, bool) else " ".join(repr(value).split())
-    return text if len(text) <= 80 else text[:77] + "..."
+    return cut(text)
+
+
+def cut(text: str, longest: int = 80) -> str:
+    """The text, its end left out where it is longer than that."""
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

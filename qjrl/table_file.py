@@ -16,6 +16,7 @@ import numpy as np
 
 from qjrl.config import ConfigError
 from qjrl.csv_rows import NUMBER, rows_of
+from qjrl.field_words import cut
 from qjrl.records import reason_of
 
 FILE_KINDS = (".csv", ".npz")
@@ -243,15 +244,13 @@ def _archive(path: Path) -> np.lib.npyio.NpzFile:
 def _member(path: Path, archive: np.lib.npyio.NpzFile, name: str) -> np.ndarray:
     try:
         array = archive[name]
-        if isinstance(array, np.ndarray):
-            return array
-        raise ConfigError(f"{path}: {name} holds a text, allowed: an array of real numbers")
-    except ConfigError:
-        raise
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         if "allow_pickle" in str(error):
             raise ConfigError(f"{path}: {name} holds Python objects, allowed: real numbers") from error
         raise ConfigError(f"{path}: {name} cannot be read ({reason_of(error)})") from error
+    if not isinstance(array, np.ndarray):
+        raise ConfigError(f"{path}: {name} holds a text, allowed: an array of real numbers")
+    return array
 
 
 def _held(path: Path, archive: np.lib.npyio.NpzFile) -> str:
@@ -273,7 +272,7 @@ def _arrays_allowed(layouts: Sequence[Layout]) -> str:
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= 40 else f"{text[:37]}..."
+    return cut(text, 40)
 
 
 def _listed(names: Sequence[str], between: str = ",") -> str:

@@ -1,9 +1,10 @@
 """The values of overrides before Hydra reads them: what a YAML file would not say alike, or what is said twice, is refused."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 
 from qjrl.config import ConfigError
+from qjrl.field_words import cut
 
 _TOKEN = re.compile(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"|[^\[\](){},:\s'\"]+")
 _PADDED = re.compile(r"([-+]?)0+(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)", re.ASCII)
@@ -52,24 +53,17 @@ def _as_in_yaml(override: str) -> str:
         )
     if "$" in value:
         return override
-    for token in _tokens(value):
+    for token in _TOKEN.findall(value):
         if _GROUPED.fullmatch(token):
             raise ConfigError(
                 f"{key}: got {_short(token)}, allowed: digits without '_', as in {token.replace('_', '')[:_LONGEST]}"
             )
-    return (
-        key
-        + equals
-        + _TOKEN.sub(lambda match: _PADDED.sub(r"\1\2", match[0]) if _is_padded(match[0]) else match[0], value)
-    )
+    return key + equals + _TOKEN.sub(_without_padding, value)
 
 
-def _tokens(value: str) -> Iterator[str]:
-    return (match[0] for match in _TOKEN.finditer(value))
-
-
-def _is_padded(token: str) -> bool:
-    return _PADDED.fullmatch(token) is not None
+def _without_padding(token: re.Match[str]) -> str:
+    number = _PADDED.fullmatch(token[0])
+    return f"{number[1]}{number[2]}" if number else token[0]
 
 
 def _may_sweep(override: str) -> bool:
@@ -83,5 +77,4 @@ def _key(override: str) -> str:
 
 
 def _short(text: str) -> str:
-    shown = text if text.isprintable() and text else repr(text)
-    return shown if len(shown) <= _LONGEST else f"{shown[: _LONGEST - 3]}..."
+    return cut(text if text.isprintable() and text else repr(text))

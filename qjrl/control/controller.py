@@ -100,7 +100,7 @@ def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
         base_lengths=task.base_lengths,
         command=zeros,
         trend=zeros,
-        swing=task.gains.dither.astype(zeros.dtype),  # friction holds an arm that hardly moves, too
+        swing=task.gains.dither,  # friction holds an arm that hardly moves, too
         correction=task.correction,
         expected=task.prior.expected,
         covariance=task.prior.covariance,

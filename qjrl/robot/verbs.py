@@ -10,14 +10,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from qjrl.robot.kinds import Robot
+from qjrl.robot.kinds import Robot as Robot
 from qjrl.robot.kinds import verb as _verb
 from qjrl.robot.plausibility import check_angles, one_configuration, one_of_lengths, one_of_positions, one_sample
 from qjrl.robot.quaternion_arm import joint, statics
 from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.quaternion_arm.statics import Equilibrium
-
-__all__ = ["Robot"]
 
 
 def forward_kinematics(robot: Robot, configuration: jax.Array) -> jax.Array:
