@@ -1,8 +1,20 @@
-"""Settings of every test: double precision as in the `qjrl` command, no key used twice, shapes of every call checked."""
+"""Settings of every test: double precision as in the `qjrl` command, no key used twice, shapes of every call checked.
+
+Compiled programs are kept where the command keeps them, for the processes that tests start as well.
+"""
+
+import os
+from pathlib import Path
+
+from qjrl.cli.process import compilation_cache
+
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(compilation_cache()))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 import jax
 import jaxtyping
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 
 jax.config.update("jax_enable_x64", True)
@@ -13,3 +25,15 @@ jaxtyping.install_import_hook(["qjrl.geometry", "qjrl.robot", "qjrl.simulation",
 # How long an example takes says nothing on a busy machine.
 settings.register_profile("qjrl", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("qjrl")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled_programs_are_let_go():
+    """Let compiled programs go before a process has as many memory mappings as Linux allows (65,530 by default).
+
+    XLA aborts the process beyond that. A thousand tests in one process reach it.
+    """
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()

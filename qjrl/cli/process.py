@@ -21,7 +21,7 @@ def prepare() -> None:
     ):  # training cuts its arms over them
         flags = f"--xla_force_host_platform_device_count={usable_cores()}"
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}".strip()
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_cache()))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(compilation_cache()))
     if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:
         os.environ["MUJOCO_GL"] = _headless_renderer()
     logger = logging.getLogger("qjrl")
@@ -30,8 +30,8 @@ def prepare() -> None:
     logger.handlers = [_ConsoleHandler()]
 
 
-def _cache() -> Path:
-    """Of compiled code: it must not reach a lesser CPU through a shared home."""
+def compilation_cache() -> Path:
+    """Folder of compiled programs, one for each instruction set: a home may be shared with a lesser CPU."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "qjrl" / f"jax-{_instruction_set()}"
 
 
