@@ -43,7 +43,7 @@ STAGES: dict[str, Stage] = {
     ),
     "robustness": Stage(
         "qjrl.stages.robustness",
-        "judge base, rivals and policy under disturbances",
+        "evaluate base, baselines and policy under disturbances",
         reads=("ik", "policy"),
         writes="robustness",
         default=False,
@@ -73,7 +73,7 @@ STAGES: dict[str, Stage] = {
     "deploy": Stage("qjrl.stages.deploy", "run the controller in real time", ("ik", "policy"), "deploy", False),
     "accuracy": Stage(
         "qjrl.stages.accuracy",
-        "judge every controller open loop and with pose measurements",
+        "evaluate every controller open loop and with pose measurements",
         reads=("sample", "forward_model"),
         writes="accuracy",
         default=False,

@@ -310,7 +310,13 @@ def test_ctrl_c_says_how_to_go_on(tmp_path) -> None:
 @pytest.mark.slow
 def test_all_stages_run_on_mjx(tmp_path) -> None:
     """In a process of its own: MJX compiles several times, for minutes. The policy trains in it, too."""
-    small = ["sample.num_samples=24", "ik.num_held_out=4", "ik.num_bank=6", "policy.num_judged=1", "policy.num_envs=8"]
+    small = [
+        "sample.num_samples=24",
+        "ik.num_held_out=4",
+        "ik.num_bank=6",
+        "policy.num_evaluated=1",
+        "policy.num_envs=8",
+    ]
     steps = ["policy.ppo.num_steps=320", "policy.ppo.checkpoint_every=1"]
     command = [sys.executable, "-m", "qjrl", "+experiment=smoke", "simulation=mjx", "robot=qj_22", *small, *steps]
     done = subprocess.run([*command, f"hydra.run.dir={tmp_path}"], cwd=ROOT, capture_output=True, text=True)

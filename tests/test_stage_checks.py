@@ -6,7 +6,7 @@ from test_conf import tree_of
 from qjrl import pipeline
 from qjrl.config import ConfigError
 
-JUDGED = ("compare", "robustness", "deploy")
+EVALUATED = ("compare", "robustness", "deploy")
 TRAINED = ("policy", "residual")
 ARM = "{{label: {0}, robot: {0}, bend_limit_deg: 40.0, is_reference: {1}}}"
 
@@ -15,9 +15,13 @@ ARM = "{{label: {0}, robot: {0}, bend_limit_deg: 40.0, is_reference: {1}}}"
     ("override", "refused", "key"),
     [
         ("engine.timestep=0.003", TRAINED, r"policy\.environment\.control_period: got 0.02 s"),
-        ("simulation.timestep=0.003", JUDGED, r"policy\.environment\.control_period: got 0.02 s"),
+        ("simulation.timestep=0.003", EVALUATED, r"policy\.environment\.control_period: got 0.02 s"),
         ("simulation.timestep=0.003", ("track",), r"track\.period: got 0.02 s"),
-        ("policy.environment.control_period=0.018", (*TRAINED, *JUDGED), r"policy\.environment\.control_period: got"),
+        (
+            "policy.environment.control_period=0.018",
+            (*TRAINED, *EVALUATED),
+            r"policy\.environment\.control_period: got",
+        ),
         ("track.path=nowhere.csv", ("track",), r"track\.path: nowhere\.csv: cannot be read"),
         ("pretension.path=nowhere.csv", ("pretension",), r"nowhere\.csv"),
         ("deploy.replay=nowhere.npz", ("deploy",), r"deploy\.replay: nowhere\.npz does not exist"),
@@ -31,7 +35,7 @@ ARM = "{{label: {0}, robot: {0}, bend_limit_deg: 40.0, is_reference: {1}}}"
 def test_a_combination_and_a_file_stop_only_the_stages_that_use_them(override, refused, key) -> None:
     others = [name for name in pipeline.STAGES if name not in refused]
     if override.startswith("simulation"):
-        others = [name for name in others if name not in (*JUDGED, "track")]
+        others = [name for name in others if name not in (*EVALUATED, "track")]
     tree = tree_of(override)
     pipeline.build_needed(tree, others)
     for name in refused:

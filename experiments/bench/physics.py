@@ -20,8 +20,8 @@ def main() -> None:
     """Arms with random parameters, in random motion; the median of many calls and the least."""
     arm = load_robot(ROBOT)
     print(f"{ROBOT} on {provenance({}, None, None)['hardware']['cpu']}, {NUM_STEPS} steps of {TIMESTEP:g} s a call")
-    for lanes in (512, 2048):
-        physics, state, commands = _problem(arm, lanes)
+    for batch in (512, 2048):
+        physics, state, commands = _problem(arm, batch)
         step = (arm, physics, state, commands, np.float32(TIMESTEP), np.int32(NUM_STEPS))
         looked = (arm, physics.load, state.half_angles, state.rates)
         for name, function, arguments, steps in (
@@ -32,9 +32,9 @@ def main() -> None:
             compiled = jax.jit(function, compiler_options=CPU_COMPILER_OPTIONS).lower(*arguments).compile()
             took = time.process_time() - began
             jax.block_until_ready(compiled(*arguments))
-            times = [1e6 / lanes / steps * _seconds(compiled, arguments) for _ in range(REPEATS)]
+            times = [1e6 / batch / steps * _seconds(compiled, arguments) for _ in range(REPEATS)]
             print(
-                f"  {lanes:5d} arms, {name:<20} {np.median(times):6.2f} us an arm and step, least {min(times):6.2f}; "
+                f"  {batch:5d} arms, {name:<20} {np.median(times):6.2f} us an arm and step, least {min(times):6.2f}; "
                 f"compiled in {took:.1f} s of CPU"
             )
 
@@ -45,15 +45,15 @@ def _seconds(compiled, arguments) -> float:
     return time.perf_counter() - began
 
 
-def _problem(arm, lanes: int) -> tuple[Physics, MinimalState, jax.Array]:
+def _problem(arm, batch: int) -> tuple[Physics, MinimalState, jax.Array]:
     random, segments = np.random.default_rng(0), arm.num_segments
     single = lambda values: jnp.asarray(values, jnp.float32)  # noqa: E731
-    gravity = np.array(arm.config.mechanics.gravity)[:, None] + random.normal(size=(3, lanes))
-    load = Load(single(gravity), single(random.uniform(0.5, 2.0, lanes)), single(random.uniform(0.0, 0.1, lanes)))
-    stiffness = float(arm.strand_stiffness) * random.uniform(0.8, 1.2, (arm.num_strands, lanes))
-    damping, friction = 50.0 * random.uniform(0.5, 2.0, lanes), random.uniform(0.0, 3.0, lanes)
-    angles, rates = random.uniform(-0.3, 0.3, (segments, 2, lanes)), 0.3 * random.normal(size=(segments, 2, lanes))
-    state = MinimalState(single(angles), single(rates), jnp.zeros((arm.num_strands + segments, lanes), jnp.float32))
+    gravity = np.array(arm.config.mechanics.gravity)[:, None] + random.normal(size=(3, batch))
+    load = Load(single(gravity), single(random.uniform(0.5, 2.0, batch)), single(random.uniform(0.0, 0.1, batch)))
+    stiffness = float(arm.strand_stiffness) * random.uniform(0.8, 1.2, (arm.num_strands, batch))
+    damping, friction = 50.0 * random.uniform(0.5, 2.0, batch), random.uniform(0.0, 3.0, batch)
+    angles, rates = random.uniform(-0.3, 0.3, (segments, 2, batch)), 0.3 * random.normal(size=(segments, 2, batch))
+    state = MinimalState(single(angles), single(rates), jnp.zeros((arm.num_strands + segments, batch), jnp.float32))
     strands = jax.jit(equations_of_motion, compiler_options=CPU_COMPILER_OPTIONS)(
         arm, load, state.half_angles, state.rates
     ).strands

@@ -129,7 +129,7 @@ class Verdict:
     """Target set -> 95 % interval of that ratio."""
 
 
-def judge_residual(
+def evaluate_residual(
     outcomes: Iterable[Outcome], residual: str = "learned_ik+residual", base: str = "learned_ik"
 ) -> Verdict:
     """Compares the median position errors of a policy and its base on every target set that both have."""

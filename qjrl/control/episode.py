@@ -42,7 +42,7 @@ class EnvironmentConfig:
     latest_arrival: Annotated[float, Range(above=0.0)] = 3.0
     """Targets whose base ramp ends later are left out and counted [s]."""
     scored_time: Annotated[float, Range(above=0.0)] = 0.5
-    """Errors are judged over this long at the end of an episode [s]."""
+    """Errors are evaluated over this long at the end of an episode [s]."""
     remembers: bool = True
     """Whether the actor sees means of the encoders' readings; without, the newest reading stands for all of them."""
     estimate: EstimateConfig = EstimateConfig()
@@ -63,7 +63,7 @@ class EnvironmentConfig:
 
     @property
     def scored_steps(self) -> int:
-        """Control steps over which the error is judged."""
+        """Control steps over which the error is evaluated."""
         return math.ceil(self.scored_time / self.control_period)
 
     @property

@@ -31,7 +31,7 @@ class DitherConfig:
     Dry friction holds a strand short of where its spring would let it rest, always against the way it came. Swings that
     die away slowly leave it in the middle, as they leave a magnet without magnetisation. Whatever moves the cables later,
     feedback or a policy, brings friction back, so that the swings grow again by as much as the cables are moved; the
-    longer ago the ramp ended, the less, lest noise in the feedback keep them alive.
+    longer ago the ramp ended, the less, so that noise in the feedback does not keep them alive.
     """
 
     amplitude: Annotated[float, Range(low=0.0)] = 0.0005

@@ -7,7 +7,7 @@ import numpy as np
 from qjrl.config import ConfigError
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import Bank, EnvironmentConfig
-from qjrl.control.judging import arrives_in_time
+from qjrl.control.evaluation import arrives_in_time
 from qjrl.control.targets import draw_bends, target_poses
 from qjrl.robot import cable_lengths, load_robot
 from qjrl.robot.verbs import Robot

@@ -78,7 +78,7 @@ def actor_observation(
     Beside the readings' deviations from the command stands what the tip would lack of its target without the residual,
     according to each of them: the same numbers, but with the millimetres that matter not lost among the radians, and
     the residual to choose, not a change of it, so that an error of the actor does not add up. It is zero until the base
-    command is ramped in, lest the way to the target drown what is left at its end.
+    command is ramped in: on the way to the target it would be far larger than the errors that matter at the end.
 
     Args:
         offset: (num_cables,) the residual's part of the command [m].

@@ -1,4 +1,4 @@
-"""Train the residual policy on a target bank, judging it on targets set apart, and measure what learning costs."""
+"""Train the residual policy on a target bank, evaluate it on targets set apart, and measure what learning costs."""
 
 import dataclasses
 import time
@@ -16,7 +16,7 @@ from qjrl.config import ConfigError, NotIdentity, Range, configuration
 from qjrl.control.bases import Base, bank_of, command_column, environment_of
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Judge, Judgement, rows_in_time
+from qjrl.control.evaluation import Evaluation, Evaluator, rows_in_time
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
 from qjrl.learning.ppo.config import PPOConfig
@@ -46,8 +46,8 @@ class PolicyConfig:
     """What the residual is added to."""
     num_envs: Annotated[int, Range(2, 1_000_000)] = 512
     """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
-    num_judged: Annotated[int, Range(1, 100_000)] = 128
-    """Targets of each set, set apart from the bank, on which the deterministic policy is judged at every checkpoint."""
+    num_evaluated: Annotated[int, Range(1, 100_000)] = 128
+    """Targets of each set, set apart from the bank, on which the deterministic policy is evaluated at every checkpoint."""
     tensorboard: Annotated[bool, NotIdentity()] = False
     """Write the records as TensorBoard events too, in `tensorboard/` (their file names hold the host's name)."""
     environment: EnvironmentConfig = EnvironmentConfig()
@@ -89,26 +89,26 @@ def train_policy(
 
     Args:
         engine: what it trains in, and is evaluated in while it trains.
-        targets: columns of `ik/bank.npz`. The last `num_judged` rows of each set that arrive in time are set apart.
+        targets: columns of `ik/bank.npz`. The last `num_evaluated` rows of each set that arrive in time are set apart.
     Raises:
         ConfigError: the bank has too few targets; see also `check_training`.
     """
     check_training(config, engine)
     rows = rows_in_time(robot, config.environment, targets, [command_column(config.base)])
     for name, found in rows.items():
-        if len(found) <= config.num_judged:
+        if len(found) <= config.num_evaluated:
             raise ConfigError(
-                f"policy.num_judged: got {config.num_judged}, allowed: fewer than the {len(found)} {name} targets of the bank"
+                f"policy.num_evaluated: got {config.num_evaluated}, allowed: fewer than the {len(found)} {name} targets of the bank"
             )
-    trained_on = np.concatenate([found[: -config.num_judged] for found in rows.values()])
-    judged = np.concatenate([found[-config.num_judged :] for found in rows.values()])
+    trained_on = np.concatenate([found[: -config.num_evaluated] for found in rows.values()])
+    evaluated = np.concatenate([found[-config.num_evaluated :] for found in rows.values()])
     of_base = environment_of(config.environment, config.base)
-    judge_stepper = make_stepper(robot, len(judged), engine)
-    judging_seed = seed_for(seed, "arms of the checkpoints' evaluation")
-    judge = Judge(robot, of_base, bank_of(targets, config.base, judged), judge_stepper, judging_seed)
+    evaluate_stepper = make_stepper(robot, len(evaluated), engine)
+    evaluation_seed = seed_for(seed, "arms of the checkpoints' evaluation")
+    evaluator = Evaluator(robot, of_base, bank_of(targets, config.base, evaluated), evaluate_stepper, evaluation_seed)
     bank = bank_of(targets, config.base, trained_on)
     env = residual_env(robot, of_base, bank, make_engine(robot, engine))
-    evaluate = lambda policy: _medians(judge.judge(acting(policy)), targets["target_set"][judged])  # noqa: E731
+    evaluate = lambda policy: _medians(evaluator.evaluate(acting(policy)), targets["target_set"][evaluated])  # noqa: E731
     with ExitStack() as stack:
         callbacks = [_physics_rates(env, config.num_envs, directory / PHYSICS_RATES)]
         if config.tensorboard:
@@ -124,9 +124,9 @@ def acting(policy: Policy) -> Callable[[np.ndarray], np.ndarray]:
     return lambda observation: np.asarray(act(policy, observation))
 
 
-def _medians(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
+def _medians(evaluation: Evaluation, target_set: np.ndarray) -> dict[str, float]:
     """Median errors on every set, and over all: by which the policy to keep is chosen."""
-    millimetres, is_valid = 1e3 * judgement.position_error, judgement.is_valid
+    millimetres, is_valid = 1e3 * evaluation.position_error, evaluation.is_valid
     medians = {
         f"{name}_median_mm": _median(millimetres[is_valid & (target_set == i)]) for i, name in enumerate(TARGET_SETS)
     }

@@ -1,4 +1,4 @@
-"""The two sets of targets that controllers are trained and judged on."""
+"""The two sets of targets that controllers are trained and evaluated on."""
 
 from typing import Annotated
 

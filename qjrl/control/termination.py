@@ -26,7 +26,7 @@ class TerminationConfig:
     excess_deg: Annotated[float, Range(above=0.0)] = 3.0
     """So does a joint that is bent further than this beyond its stop [deg]."""
     cost: Annotated[float, Range(low=0.0)] = 40.0
-    """Taken off the reward of the step that loses the arm: more than an episode can cost otherwise, lest the end be sought."""
+    """Taken off the reward of the step that loses the arm: more than an episode can cost otherwise, so that no policy seeks the end."""
 
 
 def is_overloaded(robot: Robot, plant: PlantState) -> jax.Array:

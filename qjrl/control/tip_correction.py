@@ -1,6 +1,6 @@
 """What the cables must do to move the tip a little: the closed form's Jacobian, inverted with damping.
 
-The classical rival of the residual policy integrates what the encoders say the tip lacks, through this matrix.
+The classical baseline of the residual policy integrates what the encoders say the tip lacks, through this matrix.
 """
 
 from typing import Annotated

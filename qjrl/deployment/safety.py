@@ -80,7 +80,7 @@ class SafeController:
     Args:
         largest_age: an older reading is stale [s].
         limits: of the arm's readings, see `reading_limits`.
-        period: control period [s], at which `step` is called; without one, speed is not judged.
+        period: control period [s], at which `step` is called; without one, speed is not evaluated.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class SafeController:
             age: since it was taken [s].
         """
         self._periods_since += 1
-        flag = self._judge(reading, age)
+        flag = self._evaluate(reading, age)
         if flag == GOOD:
             self._last, self._periods_since = np.array(reading, np.float64), 0
             if self._task is not None:
@@ -124,7 +124,7 @@ class SafeController:
             self._command = command if flag == GOOD else self._command
         return self._command, flag
 
-    def _judge(self, reading: np.ndarray, age: float) -> int:
+    def _evaluate(self, reading: np.ndarray, age: float) -> int:
         if not age <= self._largest_age:  # a NaN is not
             return STALE
         if not np.isfinite(reading).all():

@@ -1,4 +1,4 @@
-"""Small symmetric systems, many at once: components first and lanes last, written out instead of one LAPACK call each."""
+"""Small symmetric systems, many at once: components first and the batch last, written out instead of one LAPACK call each."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ def factor(matrix: Any) -> list[list[jax.Array]]:
     """Rows of L with L L^T = matrix, positive definite, of which the lower triangle counts; the diagonal holds 1 / L_jj.
 
     Args:
-        matrix: entries [i][j], each (*lanes).
+        matrix: entries [i][j], each (*batch).
     """
     size = len(matrix)
     lower = [[jnp.zeros_like(matrix[0][0])] * (row + 1) for row in range(size)]
@@ -23,12 +23,12 @@ def factor(matrix: Any) -> list[list[jax.Array]]:
 
 
 def solve(lower: list[list[jax.Array]], right: jax.Array) -> jax.Array:
-    """x (n, ..., *lanes) with L L^T x = right, L as `factor` gives it."""
+    """x (n, ..., *batch) with L L^T x = right, L as `factor` gives it."""
     return jnp.stack(back(lower, forward(lower, right)))
 
 
 def forward(lower: list[list[jax.Array]], right: Any) -> list[jax.Array]:
-    """Rows of L^-1 right (n, ..., *lanes), L as `factor` gives it."""
+    """Rows of L^-1 right (n, ..., *batch), L as `factor` gives it."""
     found: list[jax.Array] = []
     for i in range(len(right)):
         found.append((right[i] - sum(lower[i][k] * found[k] for k in range(i))) * lower[i][i])
@@ -36,7 +36,7 @@ def forward(lower: list[list[jax.Array]], right: Any) -> list[jax.Array]:
 
 
 def back(lower: list[list[jax.Array]], right: Any) -> list[jax.Array]:
-    """Rows of L^-T right (n, ..., *lanes), L as `factor` gives it."""
+    """Rows of L^-T right (n, ..., *batch), L as `factor` gives it."""
     size = len(right)
     found = [right[0]] * size
     for i in reversed(range(size)):

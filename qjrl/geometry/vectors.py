@@ -1,4 +1,4 @@
-"""Vectors and matrices as separate components, each (*lanes): nothing is copied to take them apart or to put them together.
+"""Vectors and matrices as separate components, each (*batch): nothing is copied to take them apart or to put them together.
 
 A component may be a Python number. Zeros and ones among them cost no operation.
 """

@@ -1,7 +1,7 @@
 """What the processes of JAX's distributed runtime tell each other; a process alone tells itself.
 
-Rows (copies of an environment) are dealt out in blocks, in the order of the processes. The first process keeps the books:
-it alone judges, reads and writes.
+Rows (copies of an environment) are dealt out in blocks, in the order of the processes. The first process
+alone evaluates, reads and writes.
 """
 
 import signal
@@ -34,7 +34,7 @@ def are_several() -> bool:
 
 
 def is_first() -> bool:
-    """Whether this process keeps the books."""
+    """Whether this process evaluates, reads and writes."""
     return jax.process_index() == 0
 
 

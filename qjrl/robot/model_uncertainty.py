@@ -70,14 +70,14 @@ def calibrate(
     """
     function = jax.jit(jax.vmap(pose_and_sigma(robot, dataclasses.replace(model, sigma_factors=None))))
     estimate = function(jnp.asarray(data["cable_lengths"]))
-    factors, report, judged = [], {}, {}
+    factors, report, evaluated = [], {}, {}
     for quantity, error in zip(QUANTITIES, row_errors(estimate.pose, data["pose"]), strict=True):
         sigma = np.asarray(getattr(estimate, f"{quantity}_sigma"))
         factor = sigma_factor(sigma[::2], error[::2])
-        judged |= {f"{quantity}_error": error[1::2], f"{quantity}_sigma": factor * sigma[1::2]}
+        evaluated |= {f"{quantity}_error": error[1::2], f"{quantity}_sigma": factor * sigma[1::2]}
         report[quantity] = {"factor": factor} | _coverages(factor * sigma[1::2], error[1::2])
         factors.append(factor)
-    return dataclasses.replace(model, sigma_factors=jnp.asarray(factors)), report, judged
+    return dataclasses.replace(model, sigma_factors=jnp.asarray(factors)), report, evaluated
 
 
 def _coverages(sigma: np.ndarray, error: np.ndarray) -> dict[str, Any]:

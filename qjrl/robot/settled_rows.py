@@ -6,7 +6,7 @@ import numpy as np
 
 from qjrl.artifacts import ArtifactError
 
-# Columns that models are fitted on and judged by -> their axes.
+# Columns that models are fitted on and evaluated by -> their axes.
 _NEEDED = {"cable_lengths": 2, "pose": 2, "bends": 3, "strand_tension": 2, "converged": 1, "seed": 1}
 
 

@@ -15,7 +15,7 @@ from qjrl.simulation.stepping import LARGEST_VALUE, PhysicalParameters, PlantSta
 EngineKind = Literal["minimal", "mjx", "mjx-warp"]
 """The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp.
 
-C MuJoCo is none: it would ask the host at every step, at a quarter of the rate. It judges."""
+C MuJoCo is none: it would ask the host at every step, at a quarter of the rate. It evaluates."""
 
 
 @configuration

@@ -1,4 +1,4 @@
-"""An engine of JAX behind the contract of the host, `stepping.Stepper`: for judging and for playing trajectories."""
+"""An engine of JAX behind the contract of the host, `stepping.Stepper`: for evaluation and for playing trajectories."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -2,7 +2,7 @@
 
 What MuJoCo ties together with equality rows is one coordinate here, so that eight numbers move where MuJoCo moves forty.
 Both come to rest at the same place; on the way they differ as two integrators do. Rows come first outside; inside the
-batch comes last, as in `geometry.lanes`.
+batch comes last, as in `geometry.batch_last`.
 """
 
 import dataclasses

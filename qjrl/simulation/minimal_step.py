@@ -26,33 +26,33 @@ from qjrl.robot.quaternion_arm.dynamics import Equations, Load, equations_of_mot
 
 # Gauss-Seidel sweeps of a step; impulses are carried over, so they go on converging from step to step.
 SWEEPS = 8
-# On a CPU: with more arms than MOST_LANES a step goes through blocks of about BLOCK, whose numbers a core's cache holds.
-MOST_LANES, BLOCK = 512, 256
+# On a CPU: with more arms than MOST_AT_ONCE a step goes through blocks of about BLOCK, whose numbers a core's cache holds.
+MOST_AT_ONCE, BLOCK = 512, 256
 
 
 @struct.dataclass
 class MinimalState:
-    """What the next step depends on; lanes last."""
+    """What the next step depends on; the batch last."""
 
     half_angles: Any
-    """(segments, 2, lanes) [rad]."""
+    """(segments, 2, batch) [rad]."""
     rates: Any
-    """(segments, 2, lanes) [rad/s]."""
+    """(segments, 2, batch) [rad/s]."""
     impulses: Any
-    """(strands + segments, lanes) of friction and stops in the last step [N s]; where the sweeps begin."""
+    """(strands + segments, batch) of friction and stops in the last step [N s]; where the sweeps begin."""
 
 
 @struct.dataclass
 class Physics:
-    """What may differ between lanes."""
+    """What may differ between the arms of a batch."""
 
     load: Load
     strand_stiffness: Any
-    """(strands, lanes) [N/m]."""
+    """(strands, batch) [N/m]."""
     strand_damping: Any
-    """(lanes,) [N s/m]."""
+    """(batch,) [N s/m]."""
     strand_friction: Any
-    """(lanes,) [N]."""
+    """(batch,) [N]."""
 
 
 def minimal_steps(
@@ -63,7 +63,7 @@ def minimal_steps(
     timestep: jax.Array,
     num_steps: jax.Array,
 ) -> MinimalState:
-    """`num_steps` steps of `timestep` [s] on, holding rest lengths `commands` (strands, lanes) [m]."""
+    """`num_steps` steps of `timestep` [s] on, holding rest lengths `commands` (strands, batch) [m]."""
 
     def steps(physics: Physics, state: MinimalState, commands: jax.Array) -> MinimalState:
         return jax.lax.fori_loop(0, num_steps, lambda _, now: _step(arm, physics, now, commands, timestep), state)
@@ -73,26 +73,26 @@ def minimal_steps(
     return in_blocks(steps, (physics, state, commands), commands.shape[-1])
 
 
-def in_blocks(function: Callable, arguments: tuple, num_lanes: int) -> Any:
-    """function(*arguments), trees of (..., lanes), block after block where there are more lanes than a core's cache holds."""
-    if num_lanes <= MOST_LANES:
+def in_blocks(function: Callable, arguments: tuple, batch_size: int) -> Any:
+    """function(*arguments), trees of (..., batch), block after block where there are more than a core's cache holds."""
+    if batch_size <= MOST_AT_ONCE:
         return function(*arguments)
-    count = math.ceil(num_lanes / BLOCK)
-    size = math.ceil(num_lanes / count)
-    places = np.minimum(np.arange(count * size), num_lanes - 1)  # the last block goes on with copies of the last lane
+    count = math.ceil(batch_size / BLOCK)
+    size = math.ceil(batch_size / count)
+    places = np.minimum(np.arange(count * size), batch_size - 1)  # the last block goes on with copies of the last arm
 
     def cut(values: jax.Array) -> jax.Array:
-        whole = values if count * size == num_lanes else values[..., places]
+        whole = values if count * size == batch_size else values[..., places]
         return jnp.moveaxis(whole.reshape(*whole.shape[:-1], count, size), -2, 0)
 
     def join(values: jax.Array) -> jax.Array:
-        return jnp.moveaxis(values, 0, -2).reshape(*values.shape[1:-1], count * size)[..., :num_lanes]
+        return jnp.moveaxis(values, 0, -2).reshape(*values.shape[1:-1], count * size)[..., :batch_size]
 
     return jax.tree.map(join, jax.lax.map(lambda block: function(*block), jax.tree.map(cut, arguments)))
 
 
 def strand_tension(arm: QuaternionArm, physics: Physics, lengths: jax.Array, commands: jax.Array) -> jax.Array:
-    """(strands, lanes) [N]: a spring that pulls up to the strand's strength and never pushes."""
+    """(strands, batch) [N]: a spring that pulls up to the strand's strength and never pushes."""
     return jnp.clip(physics.strand_stiffness * (lengths - commands), 0.0, arm.config.strands.strength)
 
 

@@ -16,7 +16,7 @@ from qjrl.simulation.mjx_model import ArmState, MjxArm, Rows, balanced, compile_
 
 
 @struct.dataclass
-class _Lane:
+class _Simulation:
     """What differs between the simulations, one row each; float32."""
 
     half_width: Rows
@@ -36,12 +36,12 @@ def record_mjx(play: Play, is_balanced: np.ndarray) -> Recording:
     targets = play.strand_targets.astype(np.float32)
     single, limits = partial(np.asarray, dtype=np.float32), play.limits
     rows = (single(limits.half_width), single(limits.solref), single(limits.solimp))
-    lanes = _Lane(*rows, tolerance=single(play.tolerance), is_balanced=np.asarray(is_balanced))
+    batch = _Simulation(*rows, tolerance=single(play.tolerance), is_balanced=np.asarray(is_balanced))
     state, recorded = _at_home(play, arm), []
     with single_precision():
-        advance = _compile(play, arm, lanes, state, targets[0])
+        advance = _compile(play, arm, batch, state, targets[0])
         for target in targets:
-            state, velocities = advance(lanes, state, target)
+            state, velocities = advance(batch, state, target)
             recorded.append(np.asarray(velocities))
     return Recording(np.concatenate(recorded, axis=1), _tips(arm, np.asarray(state.joint_positions)))
 
@@ -53,12 +53,12 @@ def _at_home(play: Play, arm: MjxArm) -> ArmState:
     return ArmState(np.tile(home, (play.num_sims, 1)), still, commands, still)
 
 
-def _compile(play: Play, arm: MjxArm, lanes: _Lane, state: ArmState, target: np.ndarray) -> Callable:
-    """Of lanes, state and targets, over all simulations: one period."""
+def _compile(play: Play, arm: MjxArm, batch: _Simulation, state: ArmState, target: np.ndarray) -> Callable:
+    """Of batch, state and targets, over all simulations: one period."""
     model = arm.model.tree_replace({"opt.iterations": play.iterations})
     function = partial(_advance, play.cables, play.steps_per_period)
     with compiling(f"MJX for {play.num_sims} arms, {play.cables}, {play.iterations} solver iterations"):
-        compiled = compile_batch(function, (None, None, 0, 0, 0), model, arm.data, lanes, state, target)
+        compiled = compile_batch(function, (None, None, 0, 0, 0), model, arm.data, batch, state, target)
     return partial(compiled, model, arm.data)
 
 
@@ -67,35 +67,35 @@ def _advance(
     num_steps: int,
     model: mjx.Model,
     home: mjx.Data,
-    lane: _Lane,
+    one: _Simulation,
     state: ArmState,
     target: jax.Array,
 ) -> tuple[ArmState, jax.Array]:
     """One simulation `num_steps` time steps on, and its joint velocities (num_steps, nv) on the way."""
-    model = model.tree_replace({"opt.tolerance": lane.tolerance})
+    model = model.tree_replace({"opt.tolerance": one.tolerance})
     if cables == "limits":
-        model = _limited(model, lane, target)
+        model = _limited(model, one, target)
     else:
         state = state.replace(strand_commands=target)  # pyright: ignore[reportAttributeAccessIssue]
 
     def step(state: ArmState, _):
         data = mjx.forward(model, state.placed_in(home))
-        force = jnp.where(lane.is_balanced, balanced(model, data).qfrc_constraint, data.qfrc_constraint)
+        force = jnp.where(one.is_balanced, balanced(model, data).qfrc_constraint, data.qfrc_constraint)
         data = mjx.implicit(model, data.replace(qfrc_constraint=force))
         return state.moved_to(data), data.qvel
 
     return jax.lax.scan(step, state, length=num_steps)
 
 
-def _limited(model: mjx.Model, lane: _Lane, centres: jax.Array) -> mjx.Model:
+def _limited(model: mjx.Model, one: _Simulation, centres: jax.Array) -> mjx.Model:
     """The model with one simulation's limits at one command; strands are the first tendons."""
     strands = slice(0, len(centres))
-    ranges = jnp.stack([centres - lane.half_width, centres + lane.half_width], axis=1)
+    ranges = jnp.stack([centres - one.half_width, centres + one.half_width], axis=1)
     return model.tree_replace(
         {
             "tendon_range": model.tendon_range.at[strands].set(ranges),
-            "tendon_solref_lim": model.tendon_solref_lim.at[strands].set(lane.solref),
-            "tendon_solimp_lim": model.tendon_solimp_lim.at[strands].set(lane.solimp),
+            "tendon_solref_lim": model.tendon_solref_lim.at[strands].set(one.solref),
+            "tendon_solimp_lim": model.tendon_solimp_lim.at[strands].set(one.solimp),
         }
     )
 

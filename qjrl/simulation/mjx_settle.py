@@ -67,7 +67,7 @@ class _Compiled:
 
 
 def settle_mjx(robot: Robot, problem: SettleProblem, config: SettleConfig, advance) -> RawSettled:
-    """Run every row of `problem` to rest, `batch_size` at a time; rest is judged by `REST_SPEED` at least."""
+    """Run every row of `problem` to rest, `batch_size` at a time; rest is evaluated by `REST_SPEED` at least."""
     size = min(config.batch_size, max(len(problem.joint_positions), 1))
     stand_in = relaxation(robot, config)
     compiled = _compile(stand_in, config, size)

@@ -73,7 +73,7 @@ def solve_adam(
     candidates = compiled.candidates(robot, jax.random.key(seed))
 
     lengths, steps = np.zeros((len(checked), robot.num_cables)), np.zeros(len(checked), int)
-    result = compiled.judge(robot, checked, lengths, steps)
+    result = compiled.evaluate(robot, checked, lengths, steps)
     for attempt in range(config.num_retries + 1):
         pending = np.flatnonzero(~np.asarray(result.converged))
         for start in range(0, len(pending), config.batch_size):
@@ -83,7 +83,7 @@ def solve_adam(
             steps[rows] += config.iterations * config.num_restarts
             if advance and attempt == 0:
                 advance(len(rows))
-        result = _better(config, result, compiled.judge(robot, checked, lengths, steps))
+        result = _better(config, result, compiled.evaluate(robot, checked, lengths, steps))
         lengths = np.array(result.cable_lengths)
     return result
 
@@ -115,7 +115,7 @@ class _Compiled:
 
     candidates: Callable[..., _Candidates]
     solve: Callable[..., jax.Array]
-    judge: Callable[..., SolveResult]
+    evaluate: Callable[..., SolveResult]
 
 
 @functools.lru_cache(maxsize=4)
@@ -129,10 +129,10 @@ def _compile(model: PoseFunction | None, config: AdamConfig) -> _Compiled:
     def solve(robot: Robot, target: jax.Array, candidates: _Candidates, attempt: jax.Array) -> jax.Array:
         return _solve_one(robot, model or pose_function(robot, None), config, target, candidates, attempt)
 
-    def judge(robot: Robot, targets: jax.Array, lengths: jax.Array, steps: jax.Array) -> SolveResult:
+    def evaluate(robot: Robot, targets: jax.Array, lengths: jax.Array, steps: jax.Array) -> SolveResult:
         return describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
 
-    return _Compiled(jax.jit(candidates), jax.jit(jax.vmap(solve, (None, 0, None, None))), jax.jit(judge))
+    return _Compiled(jax.jit(candidates), jax.jit(jax.vmap(solve, (None, 0, None, None))), jax.jit(evaluate))
 
 
 def _candidates(robot: Robot, model: PoseFunction, config: AdamConfig, key: jax.Array) -> _Candidates:

@@ -60,7 +60,7 @@ def solve_fabrik(
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
     checked, ends = check_targets(robot, targets), watch_fabrik(robot, targets, initial_bends, config)
-    function = functools.partial(_judge_rows, config, robot)
+    function = functools.partial(_evaluate_rows, config, robot)
     return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, ends))
 
 
@@ -219,7 +219,7 @@ def _advance_rows(config: FabrikConfig, robot: Robot, limit, targets: jax.Array,
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _judge_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, ends: Progress) -> SolveResult:
+def _evaluate_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, ends: Progress) -> SolveResult:
     states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
     tolerances = (config.position_tolerance, config.orientation_tolerance)

@@ -120,7 +120,7 @@ def solve_least_squares(
     if len(rows) and config.nearest_iterations:
         starts, steps = best.vectors[rows][:, None], config.nearest_iterations
         best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], steps, is_exact=True))
-    result = _judge(robot, model, config, checked, best)
+    result = _evaluate(robot, model, config, checked, best)
     return _tighten(robot, model, config, candidates, checked, result)
 
 
@@ -244,7 +244,7 @@ def _tighten(
             lambda value: value[:, 0], _descend(robot, model, config, starts, targets[rows], iterations)
         )
         best = _Best(ends.vectors, ends.cost, ends.status, best.steps + ends.steps)
-    found = _judge(robot, model, config, targets[rows], best)
+    found = _evaluate(robot, model, config, targets[rows], best)
     is_better = found.converged & (found.least_tension > result.least_tension[rows])
     steps = result.steps.at[rows].add(found.steps)
     better, found = rows[np.asarray(is_better)], jax.tree.map(lambda value: value[np.asarray(is_better)], found)
@@ -256,17 +256,17 @@ def _tension_rows(robot: Robot, vectors: jax.Array) -> jax.Array:
     return jax.vmap(lambda rows: least_tension(robot, lengths_of(robot, rows)))(vectors)
 
 
-def _judge(
+def _evaluate(
     robot: Robot, model: PoseFunction | None, config: LeastSquaresConfig, targets: np.ndarray, best: _Best
 ) -> SolveResult:
     """The result, its errors recomputed by the model."""
-    function = functools.partial(_judge_rows, config.descent, model, robot)
+    function = functools.partial(_evaluate_rows, config.descent, model, robot)
     result = in_batches(function, config.batch_size, targets, best.vectors, best.steps, best.status)
     return jax.tree.map(jnp.asarray, result)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
-def _judge_rows(
+def _evaluate_rows(
     config: DescentConfig, model: PoseFunction | None, robot: Robot, targets, vectors, steps, ended
 ) -> SolveResult:
     lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(vectors)

@@ -1,6 +1,6 @@
 """Damped least squares on the arm, many starts side by side: residual, step, acceptance, end.
 
-Components come first and lanes, one a start, last (see `qjrl.robot.quaternion_arm.differential`).
+Components come first and the batch, one a start, last (see `qjrl.robot.quaternion_arm.differential`).
 """
 
 import dataclasses
@@ -15,7 +15,7 @@ from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range, configuration
-from qjrl.geometry import cholesky, lanes
+from qjrl.geometry import batch_last, cholesky
 from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.model_tip import TipFunction
@@ -40,7 +40,7 @@ class DescentConfig:
     position_tolerance: Annotated[float, Range(above=0.0)] = 1e-5
     """Position error that counts as converged [m] (paper 000, section 5.2)."""
     orientation_tolerance: Annotated[float, Range(above=0.0)] = math.radians(0.01)
-    """Orientation error that counts as converged [rad] (the paper judges the roll alone)."""
+    """Orientation error that counts as converged [rad] (the paper evaluates the roll alone)."""
     optimality: Annotated[float, Range(above=0.0, below=1.0)] = 1e-3
     """A pose is the nearest one around when the cosine between its error and every motion left to it is smaller."""
 
@@ -49,34 +49,34 @@ class DescentConfig:
 class Residual:
     """Weighted error of a pose and its derivative: to first order, a step d leaves `error` - `jacobian` d."""
 
-    error: Float[Array, "6 lanes"]
+    error: Float[Array, "6 batch"]
     """Position [m], then the rotation vector from the pose to the target, weighted [m]."""
-    jacobian: Float[Array, "6 coordinates lanes"]
+    jacobian: Float[Array, "6 coordinates batch"]
     """Of the pose, rows weighted alike [m/rad]."""
 
     @property
-    def cost(self) -> Float[Array, "lanes"]:
+    def cost(self) -> Float[Array, "batch"]:
         """Squared weighted error [m^2]."""
         return jnp.sum(self.error**2, axis=0)
 
 
 @struct.dataclass
 class Descent:
-    """Where every lane stands."""
+    """Where every start has come to."""
 
-    vectors: Float[Array, "segments 2 lanes"]
+    vectors: Float[Array, "segments 2 batch"]
     """Bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
     residual: Residual
-    damping: Float[Array, "lanes"]
-    steps: Int[Array, "lanes"]
+    damping: Float[Array, "batch"]
+    steps: Int[Array, "batch"]
     """Iterations spent."""
-    is_near: Bool[Array, "lanes"]
+    is_near: Bool[Array, "batch"]
     """At the target."""
-    has_stalled: Bool[Array, "lanes"]
+    has_stalled: Bool[Array, "batch"]
     """Not at the target, and its steps have become too short to get there."""
 
     @property
-    def is_going(self) -> Bool[Array, "lanes"]:
+    def is_going(self) -> Bool[Array, "batch"]:
         """Whether another step may help."""
         return ~(self.is_near | self.has_stalled)
 
@@ -84,12 +84,12 @@ class Descent:
 def descend(
     robot: Robot,
     config: DescentConfig,
-    starts: Float[Array, "segments 2 lanes"],
-    targets: Float[Array, "9 lanes"],
+    starts: Float[Array, "segments 2 batch"],
+    targets: Float[Array, "9 batch"],
     iterations: Int[Array, ""],
     tip: TipFunction = tip_of,
 ) -> Descent:
-    """Levenberg-Marquardt from every start until all lanes are near or stalled, or for `iterations`.
+    """Levenberg-Marquardt from every start until all are near or stalled, or for `iterations`.
 
     `tip` gives poses and Jacobian: the closed form's, or a learned model's (see `model_tip`).
     """
@@ -107,21 +107,21 @@ def descend(
     return jax.lax.while_loop(is_unfinished, advance, (jnp.zeros_like(iterations), state))[1]
 
 
-def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Array, "lanes"]:
-    """Whether a lane rests at a constrained minimum: its error is at right angles to every motion left to the joints.
+def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Array, "batch"]:
+    """Whether an answer rests at a constrained minimum: its error is at right angles to every motion left to the joints.
 
     At the minimum the cosines are 0; those of 1e-3 cost about a millionth of the error (second order).
     """
     held = _hold_at_limit(robot, state.vectors, state.residual)
-    gradient = jnp.abs(jnp.sum(held.jacobian * held.error[:, None], axis=0))  # (coordinates, lanes)
+    gradient = jnp.abs(jnp.sum(held.jacobian * held.error[:, None], axis=0))  # (coordinates, batch)
     scale = jnp.sqrt(jnp.sum(state.residual.jacobian**2, axis=0) * state.residual.cost)
     return jnp.all(gradient <= config.optimality * scale, axis=0)
 
 
-def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 lanes"]) -> Residual:
+def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 batch"]) -> Residual:
     """Error and Jacobian of a tip; the rotation error is the logarithm on SO(3), weighted [m/rad]."""
     x, y = targets[3:6], targets[6:9]
-    turn = lanes.rotation_vector(tip.rotation, jnp.stack([x, y, lanes.cross(x, y)], axis=1))
+    turn = batch_last.rotation_vector(tip.rotation, jnp.stack([x, y, batch_last.cross(x, y)], axis=1))
     return Residual(
         jnp.concatenate([targets[:3] - tip.position, weight * turn]),
         jnp.concatenate([tip.velocity, weight * tip.angular_velocity]),
@@ -129,20 +129,20 @@ def residual_of(tip: Tip, weight: float, targets: Float[Array, "9 lanes"]) -> Re
 
 
 def damped_step(
-    residual: Residual, damping: Float[Array, "lanes"], largest: float
-) -> Float[Array, "coordinates lanes"]:
+    residual: Residual, damping: Float[Array, "batch"], largest: float
+) -> Float[Array, "coordinates batch"]:
     """The step J^T (J J^T + mu tr(J J^T) I)^-1 e, equal to (J^T J + mu tr I)^-1 J^T e, capped in length [rad].
 
     The first form is 6 x 6 whatever the number of segments.
     """
-    normal = jnp.sum(residual.jacobian[:, None] * residual.jacobian[None], axis=2)  # J J^T, (6, 6, lanes)
+    normal = jnp.sum(residual.jacobian[:, None] * residual.jacobian[None], axis=2)  # J J^T, (6, 6, batch)
     scaled_damping = damping * sum(normal[i, i] for i in range(6))
     rows = [[normal[i, j] + (scaled_damping if i == j else 0.0) for j in range(i + 1)] for i in range(6)]
     step = jnp.sum(residual.jacobian * cholesky.solve(cholesky.factor(rows), residual.error)[:, None], axis=0)
     return step * jnp.minimum(1.0, largest / jnp.maximum(jnp.sqrt(jnp.sum(step**2, axis=0)), largest))
 
 
-def within_limit(robot: Robot, vectors: Float[Array, "segments 2 lanes"]) -> Float[Array, "segments 2 lanes"]:
+def within_limit(robot: Robot, vectors: Float[Array, "segments 2 batch"]) -> Float[Array, "segments 2 batch"]:
     """Bend vectors with each theta shortened to the bend limit."""
     limit = robot.bend_limit.astype(vectors.dtype)
     angle = jnp.sqrt(jnp.maximum(jnp.sum(vectors**2, axis=1, keepdims=True), limit**2))
@@ -164,19 +164,19 @@ class _Problem:
 
 def _begin(problem: _Problem, vectors: jax.Array) -> Descent:
     residual = problem.residual(vectors)
-    lanes = vectors.shape[-1:]
+    batch = vectors.shape[-1:]
     return Descent(
         vectors,
         residual,
-        jnp.full(lanes, problem.config.damping, vectors.dtype),
-        jnp.zeros(lanes, jnp.int32),
+        jnp.full(batch, problem.config.damping, vectors.dtype),
+        jnp.zeros(batch, jnp.int32),
         _is_near(problem.config, residual),
-        jnp.zeros(lanes, bool),
+        jnp.zeros(batch, bool),
     )
 
 
 def _iterate(problem: _Problem, state: Descent) -> Descent:
-    """One step of every lane that is going; taken back where it does not lower the cost."""
+    """One step of every start that is going; taken back where it does not lower the cost."""
     robot, config = problem.robot, problem.config
     held = _hold_at_limit(robot, state.vectors, state.residual)
     step = damped_step(held, state.damping, config.largest_step)
@@ -202,14 +202,14 @@ def _hold_at_limit(robot: Robot, vectors: jax.Array, residual: Residual) -> Resi
 
     Clipping alone spends the step outward and stops short of the best point on the limit.
     """
-    flat = residual.jacobian.reshape(6, *vectors.shape)  # (6, segments, 2, lanes)
+    flat = residual.jacobian.reshape(6, *vectors.shape)  # (6, segments, 2, batch)
     gradient = jnp.sum(flat * residual.error[:, None, None], axis=0)
     squared = jnp.sum(vectors**2, axis=1)
     is_held = (squared >= (robot.bend_limit * _AT_LIMIT) ** 2) & (jnp.sum(gradient * vectors, axis=1) > 0)
     outward = (
         vectors * jnp.where(is_held, 1.0 / jnp.maximum(squared, (robot.bend_limit * _AT_LIMIT) ** 2), 0.0)[:, None]
     )
-    radial = jnp.sum(flat * vectors, axis=2, keepdims=True)  # (6, segments, 1, lanes)
+    radial = jnp.sum(flat * vectors, axis=2, keepdims=True)  # (6, segments, 1, batch)
     return dataclasses.replace(residual, jacobian=(flat - radial * outward).reshape(residual.jacobian.shape))
 
 

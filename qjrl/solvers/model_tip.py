@@ -18,7 +18,7 @@ from qjrl.robot.quaternion_arm.differential import Tip, tip_of
 from qjrl.robot.quaternion_arm.joint import bend_from_vector
 from qjrl.robot.verbs import Robot, cable_lengths
 
-TipFunction = Callable[[Robot, Float[Array, "segments 2 lanes"]], Tip]
+TipFunction = Callable[[Robot, Float[Array, "segments 2 batch"]], Tip]
 
 
 def tip_function(model: PoseFunction | None) -> TipFunction:

@@ -94,7 +94,7 @@ def check_initial_bends(robot: Robot, bends, count: int) -> np.ndarray:
 def describe_solution(
     robot: Robot, pose_of: PoseFunction, targets: jax.Array, lengths: jax.Array, tolerances: tuple[float, float], steps
 ) -> SolveResult:
-    """Re-evaluate the model at the answers and judge them by position [m] and orientation [rad] tolerance."""
+    """Re-evaluate the model at the answers and evaluate them by position [m] and orientation [rad] tolerance."""
     poses = jax.vmap(pose_of)(lengths)
     position = jax.vmap(position_error)(poses, targets)
     orientation = jax.vmap(orientation_error)(poses, targets)

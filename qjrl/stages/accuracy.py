@@ -15,8 +15,8 @@ from qjrl.analysis.controllers.feedback_figures import errors_by_measurements
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.held_out import reachable_targets
 from qjrl.control.inversion import IKConfig
-from qjrl.control.studies.accuracy import AccuracyConfig, judge_accuracy
-from qjrl.control.studies.feasibility import KINDS, judge_tension, judge_unreachable, unreachable_targets
+from qjrl.control.studies.accuracy import AccuracyConfig, evaluate_accuracy
+from qjrl.control.studies.feasibility import KINDS, evaluate_tension, evaluate_unreachable, unreachable_targets
 from qjrl.control.studies.feedback import Corrected
 from qjrl.control.studies.open_loop import CONTROLLERS
 from qjrl.robot import robot_from_mapping, robot_hash
@@ -51,7 +51,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         targets = artifacts.load_or_make(out / "targets.npz", lambda: {"target": find()})["target"]
     count = 2 * len(CONTROLLERS) * (settings.measurements + 1) * len(targets)
     with progress.track(count, "settling, correcting") as advance:
-        found = judge_accuracy(robot, model, config.simulation, config.ik, settings, targets, config.seed, out, advance)
+        found = evaluate_accuracy(
+            robot, model, config.simulation, config.ik, settings, targets, config.seed, out, advance
+        )
     commands = artifacts.load(out / "commands.npz")
     solved = {name: commands[f"{name}/converged"] for name in CONTROLLERS}
     feasible = _feasibility(config, robot, model, targets, out)
@@ -73,12 +75,12 @@ def _feasibility(
     """Metrics "tension" and "unreachable", from `tension.npz` and `unreachable.npz`, which go on like the rest."""
     settings, simulation, seed = config.accuracy.unreachable, config.simulation, config.seed
     tension = artifacts.load_or_make(
-        out / "tension.npz", lambda: judge_tension(robot, model, simulation, config.ik, targets, seed)
+        out / "tension.npz", lambda: evaluate_tension(robot, model, simulation, config.ik, targets, seed)
     )
     beyond = unreachable_targets(robot, targets, settings, seed)
     unreachable = artifacts.load_or_make(
         out / "unreachable.npz",
-        lambda: judge_unreachable(robot, model, simulation, config.ik, settings, beyond, seed),
+        lambda: evaluate_unreachable(robot, model, simulation, config.ik, settings, beyond, seed),
     )
     weight = config.ik.least_squares.descent.rotation_weight
     found = {

@@ -64,10 +64,10 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     policy = load_policy(inputs["policy"] / "policy")
     total = (len(BASES) + 1) * len(targets["target"]) * config.policy.environment.episode_steps
     with progress.track(total, "comparing controllers") as advance:
-        judged = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
+        evaluated = compare_controllers(robot, config.simulation, config.policy, policy, targets, config.seed, advance)
     outcomes = [
         outcome_of(name, target_set, one.position_error, one.orientation_error, one.strand_tension, left_out)
-        for (target_set, name), (one, left_out) in judged.items()
+        for (target_set, name), (one, left_out) in evaluated.items()
     ]
     verdict = _verdict(config, outcomes, measured.trained)
     artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
@@ -91,7 +91,7 @@ def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures
 
     One that started as noise is no base of its own: the verdict on it stands.
     """
-    verdict = measures.judge_residual(
+    verdict = measures.evaluate_residual(
         outcomes, controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
     )
     if trained["kept_env_steps"] > 0 or "base" not in trained:
@@ -212,7 +212,7 @@ def _policy_section(records: list[dict], trained: dict):
             f"{name}, near home": start["near_home_median_mm"],
         },
         numbers,
-        "Judged on targets set apart from the bank, randomised arms; the best of the checkpoints is kept: "
+        "Evaluated on targets set apart from the bank, randomised arms; the best of the checkpoints is kept: "
         f"the one after {trained['kept_env_steps']:,} steps.",
     )
 

@@ -19,7 +19,7 @@ from qjrl.config import ConfigError, as_mapping
 from qjrl.control.bases import command_column, environment_of
 from qjrl.control.deployable import ControllerFunctions, checked_policy, controller_functions
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import arrives_in_time
+from qjrl.control.evaluation import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.simulated_arm import SimulatedArm, rehearse
 from qjrl.deployment import onnx_model

@@ -26,15 +26,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `metrics.json`, `ensemble.npz`, the figures and a directory for every fit; the table goes to the log."""
     robot = robot_from_mapping(config.robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
-    metrics, judged = run_study(robot, config.model_study, data, config.seed, out / "fits")
-    artifacts.write_arrays(out / "ensemble.npz", judged)
+    metrics, evaluated = run_study(robot, config.model_study, data, config.seed, out / "fits")
+    artifacts.write_arrays(out / "ensemble.npz", evaluated)
     artifacts.write_json(out / "metrics.json", metrics)
     drawn = {
         "learning_curves": figures.learning_curves(metrics),
         "ablation": figures.ablation(metrics),
         "latency": figures.accuracy_against_latency(metrics),
         "coverage": figures.coverage_curves(metrics["uncertainty"]),
-        "sigma": figures.errors_against_sigma(judged),
+        "sigma": figures.errors_against_sigma(evaluated),
     }
     for name, figure in drawn.items():
         save_png(figure, out / f"{name}.png", dpi=110)

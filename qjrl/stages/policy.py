@@ -45,11 +45,11 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     physics = read_progress(out / PHYSICS_RATES, "physics_steps_per_second")
     physics_rate = float(np.median([record["physics_steps_per_second"] for record in physics]))
-    judged = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
+    evaluated = [record for record in records if _is_finite(record.get("evaluation/median_mm"))]
     check_record(out / "progress.jsonl", records[0], dict.fromkeys(_AT_THE_START, NUMBER), "the log of a training")
     start = "base" if config.policy.ppo.starts_at_zero else "untrained"  # noise on top of the base is not the base
     metrics: dict[str, Any] = {
-        "kept_env_steps": min(judged, key=lambda record: record["evaluation/median_mm"])["env_steps"],
+        "kept_env_steps": min(evaluated, key=lambda record: record["evaluation/median_mm"])["env_steps"],
         "env_steps": records[-1]["env_steps"],
         "num_left_out": trained.left_out,
         "steps_per_second": float(np.median(rates)),
@@ -60,8 +60,10 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     }
     artifacts.write_json(out / "metrics.json", metrics)
     if metrics["kept_env_steps"] == 0:
-        rival = {"base": "base", "untrained": "untrained policy"}[start]
-        log.info("policy: no trained checkpoint beats the %s on the judged targets; the untrained one is kept", rival)
+        baseline = {"base": "base", "untrained": "untrained policy"}[start]
+        log.info(
+            "policy: no trained checkpoint beats the %s on the evaluated targets; the untrained one is kept", baseline
+        )
     log.info(
         "policy: %d steps at %.0f/s, %.0f %% of the physics' alone, %.0f/s",
         metrics["env_steps"],

@@ -1,4 +1,4 @@
-"""Stage `residual`: what the policy and its rival do, what makes the base err, and what in the training matters."""
+"""Stage `residual`: what the policy and its baseline do, what makes the base err, and what in the training matters."""
 
 import dataclasses
 import logging
@@ -53,8 +53,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
         figure = figures.errors_over_time(of_set, config.policy.environment.control_period)
         save_png(figure, out / f"errors_{name}.png", dpi=110)
-    with progress.track(len(settings.rival_gains), "the rival's gain") as advance:
-        tuned = tuning(subject, settings.rival_gains, lambda: advance(1))
+    with progress.track(len(settings.baseline_gains), "the baseline's gain") as advance:
+        tuned = tuning(subject, settings.baseline_gains, lambda: advance(1))
     parameters = one_at_a_time(config.policy.environment.randomisation)
     with progress.track(len(parameters), "one parameter at a time") as advance:
         alone = effects(subject, lambda: advance(1))
@@ -65,7 +65,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         name: 1e3 * float(np.median(traces["floor"][-scored:, subject.targets["target_set"] == index]))
         for index, name in enumerate(TARGET_SETS)
     }
-    found = {"floor_mm": floor, "rival": tuned, "effects": alone, "ablations": ablated}
+    found = {"floor_mm": floor, "baseline": tuned, "effects": alone, "ablations": ablated}
     artifacts.write_json(out / "metrics.json", found)
     written = [
         *([tables.tuning_table(tuned)] if tuned else []),

@@ -1,4 +1,4 @@
-"""Stage `robustness`: base, rivals and policy under disturbances that none was made for, on the same held-out targets."""
+"""Stage `robustness`: base, baselines and policy under disturbances that none was made for, on the same held-out targets."""
 
 import dataclasses
 import logging
@@ -13,7 +13,7 @@ from qjrl.analysis.robustness.report import robustness_metrics, robustness_table
 from qjrl.analysis.tables import as_markdown, as_text
 from qjrl.control.bases import controller_name
 from qjrl.control.policy_training import PolicyConfig, check_control_period
-from qjrl.control.studies.robustness import RobustnessConfig, disturbances, judge_disturbed
+from qjrl.control.studies.robustness import RobustnessConfig, disturbances, evaluate_disturbed
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.robot import robot_from_mapping
@@ -39,7 +39,7 @@ class Config:
 
     @property
     def physics(self) -> SettleConfig | EngineConfig:
-        """What judges."""
+        """What evaluates."""
         return self.engine if self.robustness.engine == "training" else self.simulation
 
 
@@ -51,8 +51,12 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     rows = len(disturbances(settings, config.policy.environment)) * len(TARGET_SETS) * settings.num_targets
     controllers = 1 + len({*settings.bases, config.policy.base})
     with progress.track(controllers * rows * config.policy.environment.episode_steps, "disturbing") as advance:
-        judged = judge_disturbed(robot, config.physics, config.policy, settings, policy, targets, config.seed, advance)
-    found = {disturbance: [_outcome(*key, *value) for key, value in one.items()] for disturbance, one in judged.items()}
+        evaluated = evaluate_disturbed(
+            robot, config.physics, config.policy, settings, policy, targets, config.seed, advance
+        )
+    found = {
+        disturbance: [_outcome(*key, *value) for key, value in one.items()] for disturbance, one in evaluated.items()
+    }
     names = controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
     metrics, table = robustness_metrics(found, *names), robustness_table(found, *names)
     artifacts.write_json(out / "metrics.json", metrics)
@@ -71,6 +75,6 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     log.info("%s\n%s", as_text(table), metrics["verdict"])
 
 
-def _outcome(target_set: str, controller: str, judgement, left_out: int) -> Outcome:
-    judged = judgement.position_error, judgement.orientation_error, judgement.strand_tension
-    return outcome_of(controller, target_set, *judged, left_out)
+def _outcome(target_set: str, controller: str, evaluation, left_out: int) -> Outcome:
+    evaluated = evaluation.position_error, evaluation.orientation_error, evaluation.strand_tension
+    return outcome_of(controller, target_set, *evaluated, left_out)

@@ -18,7 +18,7 @@ from qjrl.control.tension.path import cable_quantity
 from qjrl.control.tracking.moving import moving_breaches, moving_message
 from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
-from qjrl.control.tracking.run import Judged, Plan, command_times, make_plan, nominal_plan, num_periods, perform
+from qjrl.control.tracking.run import Evaluated, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
 from qjrl.provenance import read_provenance
 from qjrl.robot import robot_from_mapping
@@ -57,22 +57,22 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         plan = make_plan(robot, model, config.simulation, settings, config.seed)
         nominal = nominal_plan(robot, plan, settings, config.seed)
     with progress.track(num_periods(settings, plan), "playing") as advance:
-        judged = perform(robot, config.simulation, settings, plan, nominal, advance)
-    tracked = {name: _tracked(one) for name, one in judged.items()}
+        evaluated = perform(robot, config.simulation, settings, plan, nominal, advance)
+    tracked = {name: _tracked(one) for name, one in evaluated.items()}
     metrics = _metrics(robot, settings, plan, tracked)
-    for name, one in judged.items():
+    for name, one in evaluated.items():
         breaches = moving_breaches(robot, one.played)
         metrics["played"][name] |= {
             "breaches": [dataclasses.asdict(breach) for breach in breaches],
             "message": moving_message(breaches),
         }
     drawn = track_pictures(
-        _positions(plan, judged["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
+        _positions(plan, evaluated["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
     )
-    animation = track_viewer(robot, *_movie(judged["planned"]), plan.path.pose[:, :3])
+    animation = track_viewer(robot, *_movie(evaluated["planned"]), plan.path.pose[:, :3])
     for name, (figure, _) in drawn.items():
         save_png(figure, out / f"{name}.png", dpi=110)
-    artifacts.write_arrays(out / "trajectory.npz", _columns(robot, settings, plan, judged["planned"]))
+    artifacts.write_arrays(out / "trajectory.npz", _columns(robot, settings, plan, evaluated["planned"]))
     artifacts.write_json(out / "metrics.json", metrics)
     page = track_report(
         f"Path {settings.path} on {robot.name}",
@@ -87,7 +87,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     log.info("%s", headline(metrics, settings.accepted_error))
 
 
-def _tracked(one: Judged) -> Tracked:
+def _tracked(one: Evaluated) -> Tracked:
     """What counts of a performance: from the plan's begin to its end."""
     moving, errors, played = one.is_moving, one.errors, one.played
     return Tracked(
@@ -139,7 +139,7 @@ def _bounds(robot: Robot, settings: TrackConfig) -> tuple[float, float, float]:
     return float(robot.motor_speed), settings.limits.acceleration, settings.limits.jerk
 
 
-def _positions(plan: Plan, main: Judged) -> tuple[np.ndarray, np.ndarray]:
+def _positions(plan: Plan, main: Evaluated) -> tuple[np.ndarray, np.ndarray]:
     """Where the tip should be and where it was, while the plan moves."""
     times, poses = main.played.time[main.is_moving], main.played.pose[main.is_moving]
     return plan.path.at(plan.trajectory.distances(times))[:, :3], poses[:, :3]
@@ -155,13 +155,13 @@ def _cable_names(robot: Robot) -> list[str]:
     return [f"cable {number}" for pair in robot.config.cables.names for number in pair]
 
 
-def _movie(main: Judged) -> tuple[np.ndarray, np.ndarray]:
+def _movie(main: Evaluated) -> tuple[np.ndarray, np.ndarray]:
     """Times and joint positions of the animation: the plan and what comes right after it."""
     shown = main.played.time >= 0.0
     return main.played.time[shown], main.played.joint_positions[shown]
 
 
-def _columns(robot: Robot, settings: TrackConfig, plan: Plan, main: Judged) -> dict[str, np.ndarray]:
+def _columns(robot: Robot, settings: TrackConfig, plan: Plan, main: Evaluated) -> dict[str, np.ndarray]:
     times, trajectory, played = command_times(plan.trajectory, settings.period), plan.trajectory, main.played
     return {
         "time": times,

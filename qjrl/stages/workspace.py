@@ -52,5 +52,5 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         comparison.overlap_table(pairs),
     ):
         log.info("%s\n", as_text(table))
-    verdict = comparison.judge(pairs, settings.comparable_share)
+    verdict = comparison.evaluate(pairs, settings.comparable_share)
     log.info("%s. %s", verdict.headline, verdict.detail)

@@ -6,7 +6,7 @@ import pytest
 from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.analysis.metrics import (
     error_table,
-    judge_residual,
+    evaluate_residual,
     median_interval,
     metrics_of,
     ratio_interval,
@@ -65,7 +65,7 @@ def test_metrics_are_grouped_by_target_set_then_controller():
     [(1.9, True, "at least as accurate"), (2.1, True, "within 1.1 times"), (2.3, False, "NOT within 1.1 times")],
 )
 def test_verdict_says_whether_the_residual_keeps_its_base(policy, holds, words):
-    verdict = judge_residual([outcome("learned_ik", [2.0]), outcome("learned_ik+residual", [policy])])
+    verdict = evaluate_residual([outcome("learned_ik", [2.0]), outcome("learned_ik+residual", [policy])])
     assert verdict.holds is holds
     assert words in verdict.headline
     assert verdict.ratios["uniform"] == pytest.approx(policy / 2.0)
@@ -75,17 +75,17 @@ def test_verdict_says_whether_the_residual_keeps_its_base(policy, holds, words):
 def test_verdict_is_that_of_the_worst_target_set():
     good = [outcome("learned_ik", [2.0]), outcome("learned_ik+residual", [1.0])]
     bad = [outcome("learned_ik", [2.0], "near_home"), outcome("learned_ik+residual", [3.0], "near_home")]
-    assert judge_residual(good + bad).holds is False
+    assert evaluate_residual(good + bad).holds is False
 
 
 def test_a_ratio_that_so_few_targets_cannot_tell_from_one_is_left_open():
     base = np.random.default_rng(0).exponential(size=40)
     policy = np.random.default_rng(1).permutation(1.2 * base)  # the same law but for a fifth, of other targets
-    verdict = judge_residual([outcome("learned_ik", base), outcome("learned_ik+residual", policy)])
+    verdict = evaluate_residual([outcome("learned_ik", base), outcome("learned_ik+residual", policy)])
     low, high = verdict.intervals["uniform"]
     assert low < 1.0 < verdict.ratios["uniform"] < high
     assert verdict.holds is None and "do not tell" in verdict.headline
-    paired = judge_residual([outcome("learned_ik", base), outcome("learned_ik+residual", 1.2 * base)])
+    paired = evaluate_residual([outcome("learned_ik", base), outcome("learned_ik+residual", 1.2 * base)])
     assert paired.intervals["uniform"] == pytest.approx((1.2, 1.2))  # target by target it is a fifth worse
     assert paired.holds is False
 
@@ -99,11 +99,11 @@ def test_the_interval_of_a_ratio_holds_it_as_often_as_it_says():
 
 
 def test_without_a_policy_there_is_no_verdict():
-    assert judge_residual([outcome("nominal", [1.0])]).holds is None
+    assert evaluate_residual([outcome("nominal", [1.0])]).holds is None
 
 
 def test_a_perfect_base_does_not_divide_by_zero():
-    verdict = judge_residual([outcome("learned_ik", [0.0]), outcome("learned_ik+residual", [0.1])])
+    verdict = evaluate_residual([outcome("learned_ik", [0.0]), outcome("learned_ik+residual", [0.1])])
     assert verdict.holds is False
     assert verdict.ratios["uniform"] == math.inf
 

@@ -78,12 +78,12 @@ def test_the_table_has_a_line_a_fit_and_a_rate_where_one_was_measured():
 
 def test_the_figures_can_be_drawn():
     sigma = np.linspace(1e-5, 1e-3, 50)
-    judged = {"position_sigma": sigma, "position_error": 1.5 * sigma}
+    evaluated = {"position_sigma": sigma, "position_error": 1.5 * sigma}
     report = {"coverage_90_percent": 90.0, "levels": [0.5, 0.9], "shares": [0.4, 0.9]}
     drawn = [
         *(draw(METRICS) for draw in (figures.learning_curves, figures.ablation, figures.accuracy_against_latency)),
         figures.coverage_curves({"position": report, "orientation": report}),
-        figures.errors_against_sigma(judged),
+        figures.errors_against_sigma(evaluated),
     ]
     assert all(len(as_png(figure, dpi=40)) > 1000 for figure in drawn)
 
@@ -94,13 +94,13 @@ def test_latency_is_positive():
 
 @pytest.mark.slow
 def test_a_study_measures_every_fit_and_a_second_run_only_reads(tmp_path):
-    metrics, judged = run_study(ARM, CONFIG, settled_rows(), 0, tmp_path)
+    metrics, evaluated = run_study(ARM, CONFIG, settled_rows(), 0, tmp_path)
     logs = {path: path.read_bytes() for path in tmp_path.glob("*/progress.jsonl")}
     assert len(logs) == 7  # two sizes of two networks, two other coordinates, the ensemble
     again, _ = run_study(ARM, CONFIG, settled_rows(), 0, tmp_path)
     assert {path: path.read_bytes() for path in logs} == logs
     assert again["corrected"] == metrics["corrected"] and again["uncertainty"] == metrics["uncertainty"]
-    assert {len(column) for column in judged.values()} == {metrics["held_out_rows"] // 2}
+    assert {len(column) for column in evaluated.values()} == {metrics["held_out_rows"] // 2}
     assert artifacts.load(next(iter(logs)))[-1]["cpu_seconds"] > 0
     study_table(metrics)
     figures.ablation(metrics)

@@ -14,7 +14,7 @@ from arms import altered
 
 from qjrl import artifacts, pipeline
 from qjrl.analysis.workspace.cloud_viewer import Cloud, cloud_viewer
-from qjrl.analysis.workspace.comparison import compare, judge, parts_of
+from qjrl.analysis.workspace.comparison import compare, evaluate, parts_of
 from qjrl.analysis.workspace.dexterity import OrientationBins
 from qjrl.analysis.workspace.survey import ArmConfig, WorkspaceConfig, measure_workspaces
 from qjrl.analysis.workspace.tip_clouds import BATCH, LAWS, count_hits, draw_tips
@@ -93,10 +93,10 @@ def test_an_arm_overlaps_with_itself_and_holds_the_one_that_bends_less(workspace
     same, less = compare([workspaces[0], itself, workspaces[1]], config.comparable_share)
     assert same.overlap.of_first == same.overlap.of_second == same.volume_ratio == 1.0 and same.is_comparable
     assert less.overlap.of_second > 0.98 and less.overlap.of_first < 0.6 and less.volume_ratio > 1.6
-    verdict = judge([same, less], config.comparable_share)
+    verdict = evaluate([same, less], config.comparable_share)
     assert verdict.holds is True and "comparable with the same and half the bend" in verdict.headline
     reversed_pair = dataclasses.replace(less, is_comparable=False)
-    assert judge([same, reversed_pair], 0.9).holds is None and judge([reversed_pair], 0.9).holds is False
+    assert evaluate([same, reversed_pair], 0.9).holds is None and evaluate([reversed_pair], 0.9).holds is False
 
 
 def test_volumes_seen_grow_with_the_samples(workspaces):

@@ -32,7 +32,7 @@ PPO = PPOConfig(
     critic_layers=(16,),
     checkpoint_every=2,
 )
-POLICY = PolicyConfig(num_envs=NUM_ENVS, num_judged=1, environment=CONFIG, ppo=PPO)
+POLICY = PolicyConfig(num_envs=NUM_ENVS, num_evaluated=1, environment=CONFIG, ppo=PPO)
 
 
 def columns():
@@ -145,30 +145,30 @@ def trained(tmp_path_factory):
     return train_policy(ARM, ENGINE, POLICY, columns(), 0, directory), directory
 
 
-def test_a_policy_is_trained_and_judged_on_targets_set_apart(trained):
+def test_a_policy_is_trained_and_evaluated_on_targets_set_apart(trained):
     found, directory = trained
     assert found.left_out == {"uniform": 1, "near_home": 0}
     records = load(directory / "progress.jsonl")
-    judged = [record for record in records if "evaluation/median_mm" in record]
-    assert [record["iteration"] for record in judged] == [0, 2, 4]
+    evaluated = [record for record in records if "evaluation/median_mm" in record]
+    assert [record["iteration"] for record in evaluated] == [0, 2, 4]
     rates = load(directory / PHYSICS_RATES)
-    assert [line["env_steps"] for line in rates] == [record["env_steps"] for record in judged]
+    assert [line["env_steps"] for line in rates] == [record["env_steps"] for record in evaluated]
     assert all(line["physics_steps_per_second"] > 0 for line in rates)
-    for record in judged:
+    for record in evaluated:
         medians = [record[f"evaluation/{name}_median_mm"] for name in ("uniform", "near_home")]
         assert record["evaluation/median_mm"] == pytest.approx(np.mean(medians))  # one target of each
 
 
 @pytest.mark.parametrize("best", [0, 1, 2])
-def test_the_policy_kept_is_the_best_of_those_judged(tmp_path, monkeypatch, best):
+def test_the_policy_kept_is_the_best_of_those_evaluated(tmp_path, monkeypatch, best):
     """Not the last, nor the first: what the evaluation says is scripted."""
-    judged, medians = [], iter(np.where(np.arange(3) == best, 1.0, 2.0))
+    evaluated, medians = [], iter(np.where(np.arange(3) == best, 1.0, 2.0))
     acting = policy_training.acting
-    monkeypatch.setattr(policy_training, "acting", lambda policy: judged.append(policy) or acting(policy))
+    monkeypatch.setattr(policy_training, "acting", lambda policy: evaluated.append(policy) or acting(policy))
     monkeypatch.setattr(policy_training, "_medians", lambda *_: {"median_mm": float(next(medians))})
     kept = train_policy(ARM, ENGINE, POLICY, columns(), 0, tmp_path).policy
-    assert len(judged) == 3
-    assert [is_same(kept, policy) for policy in judged] == [number == best for number in range(3)]
+    assert len(evaluated) == 3
+    assert [is_same(kept, policy) for policy in evaluated] == [number == best for number in range(3)]
 
 
 def is_same(one, other) -> bool:
@@ -184,7 +184,7 @@ def test_a_finished_training_is_only_read_again(trained):
 
 
 def test_a_bank_that_is_too_small_is_one_line(tmp_path):
-    config = dataclasses.replace(POLICY, num_judged=3)
-    with pytest.raises(ConfigError, match=r"^policy\.num_judged: got 3, allowed: fewer than the 3 uniform targets"):
+    config = dataclasses.replace(POLICY, num_evaluated=3)
+    with pytest.raises(ConfigError, match=r"^policy\.num_evaluated: got 3, allowed: fewer than the 3 uniform targets"):
         train_policy(ARM, ENGINE, config, columns(), 0, tmp_path)
     assert not any(tmp_path.iterdir())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from worlds import ARM, CONFIG, NUM_ENVS, World, bank, nothing, rows_of
 
-from qjrl.control.judging import Judge
+from qjrl.control.evaluation import Evaluator
 from qjrl.control.termination import TerminationConfig, is_lost, overloaded_for
 from qjrl.robot import bends_from_angles, joint_positions
 from qjrl.simulation.stepping import MujocoStepper, PlantState
@@ -72,6 +72,6 @@ def test_an_arm_whose_motors_give_way_is_lost_at_its_cost_once_that_has_lasted(w
     assert lost.max() >= 5 and lost[lost >= 0].min() >= 5  # not before it has lasted 0.1 s
 
 
-def test_a_lost_arm_is_not_valid_when_it_is_judged(weak):
+def test_a_lost_arm_is_not_valid_when_it_is_evaluated(weak):
     robot, config, targets = weak
-    assert not Judge(robot, config, targets, MujocoStepper(ARM, NUM_ENVS), 0).judge().is_valid.all()
+    assert not Evaluator(robot, config, targets, MujocoStepper(ARM, NUM_ENVS), 0).evaluate().is_valid.all()

@@ -12,7 +12,7 @@ from arms import arm_named, over_rows, random_bends
 from qjrl.control.arm_estimate import EstimateConfig
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import Bank, EnvironmentConfig, StepOutcome, tasks_of
-from qjrl.control.judging import _compiled
+from qjrl.control.evaluation import _compiled
 from qjrl.control.motors import DitherConfig, ResidualConfig
 from qjrl.control.tip_correction import IntegralConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, State, observation_sizes
@@ -92,7 +92,7 @@ def actor_size() -> int:
 
 
 class World:
-    """Whole episodes on the host over C MuJoCo, arm i towards target i, float64: as they are judged, but to look into."""
+    """Whole episodes on the host over C MuJoCo, arm i towards target i, float64: as they are evaluated, but to look into."""
 
     def __init__(self, config=CONFIG, targets: Bank | None = None, seed=0, robot: Robot = ARM):
         targets = rows_of(bank(), range(NUM_ENVS)) if targets is None else targets

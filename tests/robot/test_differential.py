@@ -27,7 +27,7 @@ def pose_of(vectors):
     return forward_kinematics(ARM, jax.vmap(bend_of)(vectors))
 
 
-def lanes(rows):
+def batch(rows):
     return jnp.asarray(np.moveaxis(rows, 0, -1))
 
 
@@ -36,13 +36,13 @@ VECTORS[0] = 1e-4  # nearly straight, where the closed form divides small number
 
 
 def test_the_tip_is_that_of_the_forward_kinematics():
-    tip = tip_of(ARM, lanes(VECTORS))
+    tip = tip_of(ARM, batch(VECTORS))
     found = jnp.concatenate([tip.position, tip.rotation[:, 0], tip.rotation[:, 1]]).T
     np.testing.assert_allclose(found, jax.jit(jax.vmap(pose_of))(VECTORS), atol=1e-13)
 
 
 def test_the_jacobian_is_the_derivative_of_the_forward_kinematics():
-    tip = tip_of(ARM, lanes(VECTORS))
+    tip = tip_of(ARM, batch(VECTORS))
     rates = np.asarray(jax.jit(jax.vmap(jax.jacfwd(pose_of)))(VECTORS)).reshape(6, 9, -1)
     np.testing.assert_allclose(np.moveaxis(tip.velocity, -1, 0), rates[:, :3], atol=1e-9)
     for column in (0, 1):  # a column x of the rotation moves with w x x

@@ -55,7 +55,7 @@ def test_every_study_that_settles_says_that_nothing_rests(monkeypatch):
     config = open_loop.OpenLoopConfig(num_targets=4)
     ik = inversion.IKConfig()
     one_line(lambda: open_loop.run_open_loop(ARM, None, CALM, ik, config, "uniform", 0), "open_loop")  # pyright: ignore[reportArgumentType]
-    one_line(lambda: feasibility.judge_tension(ARM, None, CALM, ik, HOME, 0), "accuracy")  # pyright: ignore[reportArgumentType]
+    one_line(lambda: feasibility.evaluate_tension(ARM, None, CALM, ik, HOME, 0), "accuracy")  # pyright: ignore[reportArgumentType]
     noise = feedback.MeasurementNoise()
     solver = LeastSquaresConfig()
     one_line(

@@ -33,11 +33,11 @@ VARIED = ("strand_friction", "gain_scale", "encoder_noise_deg")
 STANDSTILL = 1e-30
 """A rate of learning at which PPO moves nothing."""
 GAIN = EnvironmentConfig().integral.gain
-SETTINGS = ResidualStudyConfig(num_targets=1, rival_gains=(0.5 * GAIN, GAIN), share=0.5, ablations=("as it is",))
+SETTINGS = ResidualStudyConfig(num_targets=1, baseline_gains=(0.5 * GAIN, GAIN), share=0.5, ablations=("as it is",))
 CONFIG = PolicyConfig(
     base="learned",
     num_envs=2,
-    num_judged=1,
+    num_evaluated=1,
     environment=EnvironmentConfig(
         episode_steps=24,
         latest_arrival=0.4,
@@ -120,7 +120,7 @@ def test_with_nothing_varied_the_error_is_that_without_randomisation(finished):
     found = artifacts.load(finished / "metrics.json")["effects"]
     still = dataclasses.replace(CONFIG.environment, randomisation=NOMINAL)
     for seed in (0, 1):  # no arm is drawn, so that the seed does not matter
-        nominal = subject(seed).judge(still, "learned")
+        nominal = subject(seed).evaluate(still, "learned")
         assert errors_of(nominal, subject().targets["target_set"]) == found["nothing"]
     assert found["encoder_noise_deg"] == found["nothing"]  # without feedback nobody reads them
     for name in ("strand_friction", "gain_scale", "all"):
@@ -128,11 +128,11 @@ def test_with_nothing_varied_the_error_is_that_without_randomisation(finished):
     assert effects(subject(1), lambda: None)["all"] != found["all"]
 
 
-def test_the_rival_is_judged_with_every_gain(finished):
-    traces, found = artifacts.load(finished / "traces.npz"), artifacts.load(finished / "metrics.json")["rival"]
+def test_the_baseline_is_evaluated_with_every_gain(finished):
+    traces, found = artifacts.load(finished / "traces.npz"), artifacts.load(finished / "metrics.json")["baseline"]
     assert list(found) == [str(0.5 * GAIN), str(GAIN)]
     scored = 1e3 * traces["learned_ik+integral"][-CONFIG.environment.scored_steps :].mean(axis=0)
-    assert found[str(GAIN)]["uniform_median_mm"] == pytest.approx(scored[0])  # the default gain is the rival's own
+    assert found[str(GAIN)]["uniform_median_mm"] == pytest.approx(scored[0])  # the default gain is the baseline's own
     assert found[str(0.5 * GAIN)] != found[str(GAIN)]
 
 

@@ -51,7 +51,7 @@ CONFIGS = {
     ),
     "policy": PolicyConfig(
         num_envs=8,
-        num_judged=1,
+        num_evaluated=1,
         environment=EnvironmentConfig(episode_steps=150, latest_arrival=2.8, scored_time=0.1),
         ppo=PPOConfig(num_steps=64, unroll_length=4, num_epochs=1, num_minibatches=2, checkpoint_every=1),
     ),
@@ -239,7 +239,7 @@ def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
 
 
 @pytest.mark.slow
-def test_accuracy_judges_every_controller_on_the_same_targets(finished, tmp_path):
+def test_accuracy_evaluates_every_controller_on_the_same_targets(finished, tmp_path):
     config = accuracy.Config(
         read_yaml(conf_folder() / "robot" / "qj_22.yaml"),
         CONFIGS["simulation"],

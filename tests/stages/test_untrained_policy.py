@@ -37,8 +37,10 @@ def trained(tmp_path, monkeypatch, caplog):
     def train_policy(*arguments):
         out = arguments[-1]
         for steps, median, more in ((0, 25.0, {}), (640, 40.0, {"steps_per_second": 9.0})):
-            judged = {f"evaluation/{name}": value for name, value in (MEDIANS | {"median_mm": median}).items()}
-            artifacts.append_json_line(out / "progress.jsonl", {"iteration": 0, "env_steps": steps, **judged, **more})
+            evaluated = {f"evaluation/{name}": value for name, value in (MEDIANS | {"median_mm": median}).items()}
+            artifacts.append_json_line(
+                out / "progress.jsonl", {"iteration": 0, "env_steps": steps, **evaluated, **more}
+            )
             artifacts.append_json_line(out / PHYSICS_RATES, {"env_steps": steps, "physics_steps_per_second": 10.0})
         return Trained()
 
@@ -63,7 +65,7 @@ def test_only_a_policy_that_starts_at_zero_is_called_its_base(trained, tmp_path,
     metrics, log = trained(starts_at_zero)
     assert metrics["kept_env_steps"] == 0
     assert {"base", "untrained"} & metrics.keys() == {name} and metrics[name] == MEDIANS
-    assert f"no trained checkpoint beats the {said} on the judged targets" in log
+    assert f"no trained checkpoint beats the {said} on the evaluated targets" in log
     figure: Any = (
         compare._policy_section(artifacts.load(tmp_path / "policy" / "progress.jsonl"), metrics).pictures[0].content
     )

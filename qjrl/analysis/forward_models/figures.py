@@ -81,9 +81,9 @@ def coverage_curves(uncertainty: dict[str, Any]) -> Figure:
 
 
 @style()
-def errors_against_sigma(judged: dict[str, np.ndarray]) -> Figure:
+def errors_against_sigma(evaluated: dict[str, np.ndarray]) -> Figure:
     """Every held-out row: the position error upwards, the predicted deviation across; 90 % should lie below the line."""
-    sigma, error = 1e3 * judged["position_sigma"], 1e3 * judged["position_error"]
+    sigma, error = 1e3 * evaluated["position_sigma"], 1e3 * evaluated["position_error"]
     figure, axes = new_plot("predicted standard deviation of an axis [mm]", "position error [mm]")
     axes.plot(sigma, error, "o", color=LIGHT["blue"], alpha=0.3, markersize=2.5, markeredgewidth=0.0, rasterized=True)
     ends = np.array([sigma.min(), sigma.max()])

@@ -1,6 +1,6 @@
 """Which forward model for how many rows: learning curves, an ablation, accuracy against latency, an ensemble.
 
-All fits see the first so many of the same rows and are judged on the same held-out rows, which no fit sees. A fit that
+All fits see the first so many of the same rows and are evaluated on the same held-out rows, which no fit sees. A fit that
 several parts of the study share is made once; a finished one is read again, an interrupted one goes on.
 """
 
@@ -122,8 +122,8 @@ def run_study(
     best = models[list(plan["corrected"].values())[-1].name]
     metrics["limits"] = errors_by_tension(robot, best, held_out)
     ensemble = next(iter(plan["ensemble"].values()))
-    _, metrics["uncertainty"], judged = calibrate(robot, models[ensemble.name], held_out)
-    return metrics, judged
+    _, metrics["uncertainty"], evaluated = calibrate(robot, models[ensemble.name], held_out)
+    return metrics, evaluated
 
 
 def run_fit(

@@ -1,4 +1,4 @@
-"""Plays every case of the jitter study in both engines and judges the end of each."""
+"""Plays every case of the jitter study in both engines and evaluates the end of each."""
 
 import dataclasses
 from collections.abc import Callable, Sequence

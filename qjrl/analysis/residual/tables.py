@@ -8,9 +8,9 @@ from qjrl.analysis.tables import Column, Table
 
 
 def tuning_table(found: Mapping[float, Mapping[str, float]]) -> Table:
-    """The rival's errors by the gain of its integral."""
+    """The baseline's errors by the gain of its integral."""
     columns = (
-        Column("gain of the rival", 2, "1/s"),
+        Column("gain of the baseline", 2, "1/s"),
         *(column for label in TARGET_SET_LABELS.values() for column in _columns(label)),
     )
     rows = tuple((gain, *_cells(errors)) for gain, errors in found.items())

@@ -49,14 +49,14 @@ def compare(workspaces: Sequence[ArmWorkspace], comparable_share: float) -> list
     return pairs
 
 
-def judge(pairs: Sequence[Pair], comparable_share: float) -> Verdict:
+def evaluate(pairs: Sequence[Pair], comparable_share: float) -> Verdict:
     """The paper's claim, about its arm at the largest bend limit, against every reference."""
     widest = max(pair.arm.config.bend_limit_deg for pair in pairs)
-    judged = [pair for pair in pairs if pair.arm.config.bend_limit_deg == widest]
+    evaluated = [pair for pair in pairs if pair.arm.config.bend_limit_deg == widest]
     yes, no = (
-        [pair.reference.config.label for pair in judged if pair.is_comparable is wanted] for wanted in (True, False)
+        [pair.reference.config.label for pair in evaluated if pair.is_comparable is wanted] for wanted in (True, False)
     )
-    subject = judged[0].arm.config.label
+    subject = evaluated[0].arm.config.label
     senses = [f"comparable with {' and '.join(yes)}"] * bool(yes) + [f"NOT comparable with {' or '.join(no)}"] * bool(
         no
     )
@@ -110,7 +110,7 @@ def extent_of(workspace: ArmWorkspace) -> dict[str, float]:
 def metrics_of(config: WorkspaceConfig, workspaces: Sequence[ArmWorkspace], pairs: Sequence[Pair]) -> dict[str, Any]:
     """Everything measured, SI units, for `metrics.json`."""
     return {
-        "verdict": dataclasses.asdict(judge(pairs, config.comparable_share)),
+        "verdict": dataclasses.asdict(evaluate(pairs, config.comparable_share)),
         "arms": {one.config.label: _arm_metrics(config, one) for one in workspaces},
         "pairs": [
             {"arm": pair.arm.config.label, "reference": pair.reference.config.label, "volume_ratio": pair.volume_ratio,

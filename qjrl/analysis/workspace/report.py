@@ -60,7 +60,7 @@ def workspace_report(
     provenance: Mapping[str, Any],
 ) -> Report:
     """The whole page."""
-    verdict = comparison.judge(pairs, config.comparable_share)
+    verdict = comparison.evaluate(pairs, config.comparable_share)
     viewer = Picture(_viewer(workspaces), _VIEWER_CAPTION, is_wide=True)
     drawn = [
         Picture(figure, caption, name.startswith(("clouds", "dexterity")))

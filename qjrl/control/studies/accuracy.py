@@ -37,7 +37,7 @@ class AccuracyConfig:
     """Targets out of reach, made of the same."""
 
 
-def judge_accuracy(
+def evaluate_accuracy(
     robot: Robot,
     model: PoseFunction,
     simulation: SettleConfig,

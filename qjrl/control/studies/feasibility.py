@@ -65,7 +65,7 @@ def unreachable_targets(robot: Robot, reachable: np.ndarray, config: Unreachable
     )
 
 
-def judge_unreachable(
+def evaluate_unreachable(
     robot: Robot,
     model: PoseFunction,
     simulation: SettleConfig,
@@ -97,7 +97,7 @@ def judge_unreachable(
     }
 
 
-def judge_tension(
+def evaluate_tension(
     robot: Robot, model: PoseFunction, simulation: SettleConfig, ik: IKConfig, targets: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
     """Arrays, one row a target: answers whatever the strands carry ("any/..."), and those that the configuration asks for

@@ -1,4 +1,4 @@
-"""Errors over time above the encoders' floor, the rival's tuning, the base under each parameter alone, and ablations."""
+"""Errors over time above the encoders' floor, the baseline's tuning, the base under each parameter alone, and ablations."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
@@ -13,7 +13,7 @@ from qjrl import artifacts
 from qjrl.config import Range, configuration, identity_of
 from qjrl.control.bases import Base, bank_of, command_column, controller_name, environment_of
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Act, Judge, Judgement, first_in_time
+from qjrl.control.evaluation import Act, Evaluation, Evaluator, first_in_time
 from qjrl.control.motors import ramp_time
 from qjrl.control.noise_floor import encoder_floor
 from qjrl.control.policy_training import PolicyConfig, acting, train_policy
@@ -33,8 +33,8 @@ from qjrl.simulation.rested import require_valid
 Arrays = Mapping[str, np.ndarray]
 
 _ERRORS = {f"{name}_{key}": NUMBER for name in TARGET_SETS for key in ("median_mm", "p90_mm", "median_deg")}
-_JUDGED = {"identity": str, "errors": {"base": _ERRORS, "policy": _ERRORS}}
-RIVAL: Base = "integral"
+_EVALUATED = {"identity": str, "errors": {"base": _ERRORS, "policy": _ERRORS}}
+BASELINE: Base = "integral"
 
 
 @configuration
@@ -43,8 +43,8 @@ class ResidualStudyConfig:
 
     num_targets: Annotated[int, Range(1, 100_000)] = 200
     """Held-out targets of each set."""
-    rival_gains: tuple[Annotated[float, Range(above=0.0)], ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
-    """Gains [1/s] with which the rival is judged, to see that it is tuned."""
+    baseline_gains: tuple[Annotated[float, Range(above=0.0)], ...] = (0.25, 0.5, 1.0, 2.0, 4.0)
+    """Gains [1/s] with which the baseline is evaluated, to see that it is tuned."""
     share: Annotated[float, Range(above=0.0, high=1.0)] = 0.25
     """Share of the training's steps that every ablation has."""
     ablations: tuple[str, ...] = ABLATIONS
@@ -67,35 +67,35 @@ class Subject:
     """Columns of `held_out.npz`, of the chosen rows."""
     seed: int
 
-    def judge(self, environment: EnvironmentConfig, base: Base, act: Act | None = None) -> Judgement:
+    def evaluate(self, environment: EnvironmentConfig, base: Base, act: Act | None = None) -> Evaluation:
         """One controller on the targets, in the engine of the training."""
         count = len(self.targets["target"])
         stepper = make_stepper(self.robot, count, self.engine)
         bank = bank_of(self.targets, base, np.arange(count))
         seed = seed_for(self.seed, "arms of the residual study")
-        return Judge(self.robot, environment_of(environment, base), bank, stepper, seed).judge(act)
+        return Evaluator(self.robot, environment_of(environment, base), bank, stepper, seed).evaluate(act)
 
 
 def make_subject(
     robot: Robot, engine: EngineConfig, config: PolicyConfig, held_out: Arrays, num_targets: int, seed: int
 ) -> Subject:
-    """The first targets of each set at which the base and the rival arrive in time.
+    """The first targets of each set at which the base and the baseline arrive in time.
 
     Raises:
         ConfigError: there are fewer.
     """
-    columns = {command_column(base) for base in (config.base, RIVAL)}
+    columns = {command_column(base) for base in (config.base, BASELINE)}
     targets = first_in_time(robot, config.environment, held_out, columns, num_targets, "residual.num_targets")
     return Subject(robot, engine, config, targets, seed)
 
 
 def over_time(subject: Subject, policy: Policy) -> dict[str, np.ndarray]:
-    """Controller -> position error (steps, n) [m]: learned IK, rival, the policy's base, the policy; and the "floor"."""
+    """Controller -> position error (steps, n) [m]: learned IK, baseline, the policy's base, the policy; and the "floor"."""
     config = subject.config
-    bases: list[Base] = list(dict.fromkeys(("learned", RIVAL, "dither", config.base)))
-    traces = {controller_name(base): subject.judge(config.environment, base).position_trace for base in bases}
+    bases: list[Base] = list(dict.fromkeys(("learned", BASELINE, "dither", config.base)))
+    traces = {controller_name(base): subject.evaluate(config.environment, base).position_trace for base in bases}
     name = controller_name(config.base, has_policy=True)
-    traces[name] = subject.judge(config.environment, config.base, acting(policy)).position_trace
+    traces[name] = subject.evaluate(config.environment, config.base, acting(policy)).position_trace
     return traces | {"floor": _floor(subject)}
 
 
@@ -114,12 +114,12 @@ def _floor(subject: Subject) -> np.ndarray:
 
 
 def tuning(subject: Subject, gains: Iterable[float], advance: Callable[[], None]) -> dict[float, dict[str, float]]:
-    """Gain of the rival's integral [1/s] -> its errors."""
+    """Gain of the baseline's integral [1/s] -> its errors."""
     found = {}
     for gain in gains:
         integral = dataclasses.replace(subject.config.environment.integral, gain=gain)
         environment = dataclasses.replace(subject.config.environment, integral=integral)
-        found[gain] = errors_of(subject.judge(environment, RIVAL), subject.targets["target_set"])
+        found[gain] = errors_of(subject.evaluate(environment, BASELINE), subject.targets["target_set"])
         advance()
     return found
 
@@ -129,7 +129,7 @@ def effects(subject: Subject, advance: Callable[[], None]) -> dict[str, dict[str
     found = {}
     for name, randomisation in one_at_a_time(subject.config.environment.randomisation).items():
         environment = dataclasses.replace(subject.config.environment, randomisation=randomisation)
-        found[name] = errors_of(subject.judge(environment, "learned"), subject.targets["target_set"])
+        found[name] = errors_of(subject.evaluate(environment, "learned"), subject.targets["target_set"])
         advance()
     return found
 
@@ -141,18 +141,18 @@ def ablate(
     variants, found = ablations(subject.config, settings.share), {}
     for name in settings.ablations:
         config, path = variants[name], directory / name.replace(", ", "-").replace(" ", "_")
-        done = path / "judged.json"
+        done = path / "evaluated.json"
         identity = artifacts.hash_of(
             [identity_of(config), identity_of(subject.engine), settings.num_targets, subject.seed]
         )
-        if done.exists() and (known := read_metrics(done, _JUDGED))["identity"] == identity:
+        if done.exists() and (known := read_metrics(done, _EVALUATED))["identity"] == identity:
             found[name] = known["errors"]
         else:
             trained = train_policy(subject.robot, subject.engine, config, bank, subject.seed, path)
             controllers = {"base": None, "policy": acting(trained.policy)}
             found[name] = {
                 controller: errors_of(
-                    subject.judge(config.environment, config.base, act), subject.targets["target_set"]
+                    subject.evaluate(config.environment, config.base, act), subject.targets["target_set"]
                 )
                 for controller, act in controllers.items()
             }
@@ -161,12 +161,12 @@ def ablate(
     return found
 
 
-def errors_of(judgement: Judgement, target_set: np.ndarray) -> dict[str, float]:
+def errors_of(evaluation: Evaluation, target_set: np.ndarray) -> dict[str, float]:
     """Median and p90 of each set: "uniform_median_mm", ..., "uniform_median_deg"."""
-    millimetres, degrees = 1e3 * judgement.position_error, np.degrees(judgement.orientation_error)
+    millimetres, degrees = 1e3 * evaluation.position_error, np.degrees(evaluation.orientation_error)
     found = {}
     for index, name in enumerate(TARGET_SETS):
-        rows = judgement.is_valid & (target_set == index)
+        rows = evaluation.is_valid & (target_set == index)
         require_valid(rows[target_set == index], f"residual: episodes to {name} targets")
         found[f"{name}_median_mm"] = float(np.median(millimetres[rows]))
         found[f"{name}_p90_mm"] = float(np.percentile(millimetres[rows], 90))

@@ -1,4 +1,4 @@
-"""What a controller was not made for: named disturbances, each a change of the environment that it is judged in."""
+"""What a controller was not made for: named disturbances, each a change of the environment that it is evaluated in."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ from qjrl.config import Range, configuration
 from qjrl.control.bases import Base, command_column
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.judging import Judgement, first_in_time
+from qjrl.control.evaluation import Evaluation, first_in_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import Interval, RandomisationConfig
 from qjrl.learning.ppo.policy import Policy
@@ -30,7 +30,7 @@ class RobustnessConfig:
     bases: tuple[Base, ...] = ("learned", "integral", "dither_integral")
     """Controllers beside the policy and its own base."""
     engine: Literal["simulation", "training"] = "simulation"
-    """What they are judged in: that of group `simulation`, or that of group `engine`, in which policies train."""
+    """What they are evaluated in: that of group `simulation`, or that of group `engine`, in which policies train."""
     gain_change: Annotated[float, Range(above=0.0, below=1.0)] = 0.3
     """All gains drawn are larger, and in another row smaller, by this share."""
     friction_factor: Annotated[float, Range(above=0.0)] = 3.0
@@ -65,7 +65,7 @@ def disturbances(config: RobustnessConfig, environment: EnvironmentConfig) -> di
     return {name: _changed(environment, drawn, change) for name, change in changes.items()}
 
 
-def judge_disturbed(
+def evaluate_disturbed(
     robot: Robot,
     physics: SettleConfig | EngineConfig,
     policy_config: PolicyConfig,
@@ -74,8 +74,8 @@ def judge_disturbed(
     targets: Mapping[str, np.ndarray],
     seed: int,
     advance=None,
-) -> dict[str, dict[tuple[str, str], tuple[Judgement, int]]]:
-    """Disturbance -> (target set, controller) -> judgement and targets left out, as `compare_controllers` gives it.
+) -> dict[str, dict[tuple[str, str], tuple[Evaluation, int]]]:
+    """Disturbance -> (target set, controller) -> evaluation and targets left out, as `compare_controllers` gives it.
 
     The seed being the same, arm i is the same arm in every disturbance but for the disturbance itself.
 

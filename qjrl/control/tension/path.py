@@ -71,7 +71,7 @@ def cable_quantity(robot: Robot) -> Quantity:
 
 
 def _holds_cables(file: Path, cables: Quantity) -> bool:
-    """False: its names are those of poses. A file that names neither is asked for cables, lest its error names one kind alone."""
+    """Whether a file is read as cable lengths: unless its names are those of poses."""
     names = names_in(file)
     if file.suffix == ".npz":
         return cables.name in names or not {one.name for layout in POSE_LAYOUTS for one in layout} & {*names}

@@ -1,1 +1,1 @@
-"""A path of poses becomes a cable trajectory, is played in the physics and judged."""
+"""A path of poses becomes a cable trajectory, is played in the physics and evaluated."""

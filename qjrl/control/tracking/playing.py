@@ -1,4 +1,4 @@
-"""Play cable trajectories in the physics, feed-forward alone, and judge how the tip follows its path."""
+"""Play cable trajectories in the physics, feed-forward alone, and evaluate how the tip follows its path."""
 
 import dataclasses
 import math
@@ -143,7 +143,7 @@ def play(
     ]
 
 
-def judge(plan: CableTrajectory, path: PosePath, played: Played) -> TrackingErrors:
+def evaluate(plan: CableTrajectory, path: PosePath, played: Played) -> TrackingErrors:
     """Errors against the plan, while it moves."""
     distance = plan.distances(played.time)
     wanted = path.at(distance)

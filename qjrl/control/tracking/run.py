@@ -1,4 +1,4 @@
-"""A path from its poses to what the arm made of it: invert, check the tensions, time, rehearse, play, judge."""
+"""A path from its poses to what the arm made of it: invert, check the tensions, time, rehearse, play, evaluate."""
 
 import dataclasses
 import logging
@@ -11,7 +11,7 @@ from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tracking.errors import model_poses, path_errors
 from qjrl.control.tracking.inversion import CablePath, invert_path
 from qjrl.control.tracking.paths import PosePath, make_path
-from qjrl.control.tracking.playing import Performance, Played, TrackConfig, TrackingErrors, judge, play
+from qjrl.control.tracking.playing import Performance, Played, TrackConfig, TrackingErrors, evaluate, play
 from qjrl.control.tracking.trajectory import CableTrajectory, time_path
 from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.verbs import Robot
@@ -36,7 +36,7 @@ class Plan:
 
 
 @dataclasses.dataclass(frozen=True)
-class Judged:
+class Evaluated:
     """One performance and what became of it."""
 
     performance: Performance
@@ -105,7 +105,7 @@ def perform(
     plan: Plan,
     nominal: CablePath | None,
     advance=None,
-) -> dict[str, Judged]:
+) -> dict[str, Evaluated]:
     """The plan played, under the name "planned", and beside it what it is to be compared with.
 
     Args:
@@ -113,10 +113,10 @@ def perform(
         advance: called with the number of control periods played.
     """
     rehearsal = {"without lead": Performance(plan.trajectory)}
-    judged = _played(robot, simulation, config, plan.path, rehearsal, advance)
+    evaluated = _played(robot, simulation, config, plan.path, rehearsal, advance)
     lead = config.lead
     if lead is None:
-        lead = max(0.0, _lag(judged["without lead"]))
+        lead = max(0.0, _lag(evaluated["without lead"]))
         log.info("track: the tip lags %.2f ms behind; commands lead by as much", 1e3 * lead)
     speed, limits = float(robot.motor_speed), config.limits
     shows = {
@@ -129,12 +129,12 @@ def perform(
         shows[f"at {share:g} of the feasible speed"] = Performance(
             dataclasses.replace(plan.trajectory, speed=share), lead
         )
-    return _played(robot, simulation, config, plan.path, shows, advance) | judged
+    return _played(robot, simulation, config, plan.path, shows, advance) | evaluated
 
 
-def _lag(judged: Judged) -> float:
+def _lag(evaluated: Evaluated) -> float:
     """Time by which the tip is behind, from a fit of its distance behind to its speed [s]."""
-    speed, along = judged.errors.speed[judged.is_moving], judged.errors.along[judged.is_moving]
+    speed, along = evaluated.errors.speed[evaluated.is_moving], evaluated.errors.along[evaluated.is_moving]
     return float(-(along @ speed) / max(speed @ speed, 1e-300))
 
 
@@ -145,10 +145,10 @@ def _played(
     path: PosePath,
     shows: Mapping[str, Performance],
     advance,
-) -> dict[str, Judged]:
+) -> dict[str, Evaluated]:
     played = play(robot, simulation, list(shows.values()), config.period, config.limits, advance)
     return {
-        name: Judged(performance, one, judge(performance.trajectory, path, one))
+        name: Evaluated(performance, one, evaluate(performance.trajectory, path, one))
         for (name, performance), one in zip(shows.items(), played, strict=True)
     }
 

@@ -29,7 +29,7 @@ class PPOConfig:
     dagger: DaggerConfig = DaggerConfig()
     """What comes before PPO: the first iterations."""
     critic_warmup: Annotated[int, Range(0)] = 0
-    """Iterations after DAgger in which the critic alone learns, so that it knows the actor before it judges it."""
+    """Iterations after DAgger in which the critic alone learns, so that it knows the actor before it evaluates it."""
     clipping: Annotated[float, Range(above=0, high=1)] = 0.2
     """Allowed relative change of an action's probability in one update."""
     entropy_cost: Annotated[float, Range(0)] = 1e-3

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Array, Float
 
-from qjrl.geometry import lanes
+from qjrl.geometry import batch_last
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
@@ -55,13 +55,13 @@ def tip_of(arm: QuaternionArm, vectors: Float[Array, "segments 2 *batch"]) -> Ti
     ends, velocities, turnings = [], [], []
     for count, vector in zip(arm.joints_per_segment, vectors, strict=True):
         segment = segment_end(arm, count, vector)
-        velocities.append(lanes.product(rotation, segment.velocity))
-        turnings.append(lanes.product(rotation, segment.angular_velocity))
-        position = position + lanes.times(rotation, segment.position)
-        rotation = lanes.product(rotation, segment.rotation)
+        velocities.append(batch_last.product(rotation, segment.velocity))
+        turnings.append(batch_last.product(rotation, segment.angular_velocity))
+        position = position + batch_last.times(rotation, segment.position)
+        rotation = batch_last.product(rotation, segment.rotation)
         ends.append(position)
     swung = [
-        velocity + lanes.cross(turning, (position - end)[:, None])
+        velocity + batch_last.cross(turning, (position - end)[:, None])
         for velocity, turning, end in zip(velocities, turnings, ends, strict=True)
     ]
     return Tip(position, rotation, jnp.concatenate(swung, axis=1), jnp.concatenate(turnings, axis=1))
@@ -88,17 +88,17 @@ def segment_end(arm: QuaternionArm, count: int, vector: Float[Array, "2 *batch"]
     one = jnp.ones_like(x)
     return SegmentEnd(
         jnp.stack([across * x, across * y, along]),
-        lanes.from_rows(
+        batch_last.from_rows(
             [one - lean * x * x, -lean * x * y, swing * x],
             [-lean * x * y, one - lean * y * y, swing * y],
             [-swing * x, -swing * y, one - lean * squared],
         ),
-        lanes.from_rows(
+        batch_last.from_rows(
             [across + 2.0 * across_rate * x * x, 2.0 * across_rate * x * y],
             [2.0 * across_rate * x * y, across + 2.0 * across_rate * y * y],
             [2.0 * along_rate * x, 2.0 * along_rate * y],
         ),
-        lanes.from_rows(
+        batch_last.from_rows(
             [-twist * x * y, twist * x * x - count], [count - twist * y * y, twist * x * y], [-lean * y, lean * x]
         ),
     )

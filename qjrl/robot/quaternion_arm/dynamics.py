@@ -5,7 +5,7 @@ Forces come from recursive Newton-Euler, the mass matrix from composite bodies, 
 
 A rigid body counts as four weighted points (`segment_shape`): its centre, weighted by the mass, and the tips of its axes,
 weighted by c_i = tr(I)/2 - I_ii. Then sum w |dz/dt|^2 is twice its kinetic energy, and bodies need no angular velocity.
-Components come first and a batch of arms last, as in `geometry.lanes`.
+Components come first and a batch of arms last, as in `geometry.batch_last`.
 """
 
 import dataclasses

@@ -6,7 +6,12 @@ import pytest
 from arms import arm_named, over_rows, random_bends
 
 from qjrl.control.inversion import IKConfig
-from qjrl.control.studies.feasibility import UnreachableConfig, judge_tension, judge_unreachable, unreachable_targets
+from qjrl.control.studies.feasibility import (
+    UnreachableConfig,
+    evaluate_tension,
+    evaluate_unreachable,
+    unreachable_targets,
+)
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import forward_kinematics
 from qjrl.robot.forward_model import pose_function
@@ -38,7 +43,7 @@ def test_far_targets_lie_beyond_the_straight_arm_and_turned_ones_are_turned():
 @pytest.mark.slow
 def test_far_targets_are_flagged_and_settle_near_the_closed_form():
     targets = unreachable_targets(ARM, REACHABLE, CONFIG, seed=0)
-    found = judge_unreachable(ARM, MODEL, SettleConfig(), IK, CONFIG, targets, seed=0)
+    found = evaluate_unreachable(ARM, MODEL, SettleConfig(), IK, CONFIG, targets, seed=0)
     assert found["kind"].tolist() == [0] * 6 + [1] * 6
     assert np.all(found["answer/status"][:6] == Status.NEAREST)
     assert np.all(found["answer/position_error"][:6] > 0.01)
@@ -54,7 +59,7 @@ def test_far_targets_are_flagged_and_settle_near_the_closed_form():
 @pytest.mark.parametrize("name", ["any", "wanted"])
 def test_predicted_tensions_are_those_of_the_physics(name):
     targets = over_rows(forward_kinematics, ARM, random_bends(ARM, 24, seed=1))
-    found = judge_tension(ARM, MODEL, SettleConfig(), IK, targets, seed=0)
+    found = evaluate_tension(ARM, MODEL, SettleConfig(), IK, targets, seed=0)
     np.testing.assert_allclose(found[f"{name}/least_tension"], found[f"{name}/settled_least_tension"], atol=0.02)
     loose = {key: np.sum(found[f"{key}/least_tension"] < 2.0) for key in ("any", "wanted")}
     assert loose["wanted"] < loose["any"]

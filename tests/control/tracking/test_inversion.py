@@ -100,13 +100,13 @@ def test_residuals_vanish_at_the_target_alone_and_errors_count_what_they_should(
     rolled = pose_from_frame(pose[:3], rotation @ jnp.diag(jnp.array([-1.0, -1.0, 1.0])))
     flipped = pose_from_frame(pose[:3], rotation @ rotation_x(jnp.asarray(np.pi)))
     for constraint, is_same in {"pose": (False, False), "pointing": (True, False), "position": (True, True)}.items():
-        assert judged(constraint, pose, pose)[1] < 1e-12
+        assert evaluated(constraint, pose, pose)[1] < 1e-12
         for other, same in zip((rolled, flipped), is_same, strict=True):
-            error, residual = judged(constraint, other, pose)
+            error, residual = evaluated(constraint, other, pose)
             assert (residual < 1e-12) == same and error == pytest.approx(0.0 if same else np.pi, abs=1e-6)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def judged(constraint, pose, target):
+def evaluated(constraint, pose, target):
     """Orientation error [rad] and largest residual."""
     return counted_errors(constraint, pose, target)[1], jnp.abs(pose_residual(constraint, pose, target)).max()

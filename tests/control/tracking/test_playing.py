@@ -7,7 +7,7 @@ from arms import arm_named
 from scipy.interpolate import make_interp_spline
 
 from qjrl.control.tracking.paths import LineConfig, ShapeConfig, make_path
-from qjrl.control.tracking.playing import Performance, Played, judge, play
+from qjrl.control.tracking.playing import Performance, Played, evaluate, play
 from qjrl.control.tracking.trajectory import MotionLimits, time_path
 from qjrl.robot import cable_lengths
 from qjrl.simulation import SettleConfig, settle
@@ -36,7 +36,7 @@ def played_as(plan, pose_at):
 
 def test_a_tip_that_is_late_shows_its_lag_and_no_error_across() -> None:
     plan, lag = small_motion(), 0.013
-    errors = judge(plan, PATH, played_as(plan, lambda times: PATH.at(plan.distances(times - lag))))
+    errors = evaluate(plan, PATH, played_as(plan, lambda times: PATH.at(plan.distances(times - lag))))
     assert errors.across.max() < 1e-9
     np.testing.assert_allclose(errors.along, -errors.position, atol=1e-12)
     moving = errors.speed > 0.5 * errors.speed.max()
@@ -51,7 +51,7 @@ def test_a_tip_beside_the_path_shows_its_distance_and_no_lag() -> None:
     def pose_at(times):
         return PATH.at(plan.distances(times)) + np.concatenate([beside, np.zeros(6)])
 
-    errors = judge(plan, PATH, played_as(plan, pose_at))
+    errors = evaluate(plan, PATH, played_as(plan, pose_at))
     np.testing.assert_allclose(errors.across, 1e-3, atol=1e-9)
     np.testing.assert_allclose(errors.along, 0.0, atol=1e-9)
     assert errors.speed.max() == pytest.approx(plan.distances(np.linspace(0, plan.duration, 5001), 1).max(), rel=1e-3)

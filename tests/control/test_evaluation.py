@@ -18,7 +18,7 @@ from worlds import (
 
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
-from qjrl.control.judging import Judge, arrives_in_time, do_nothing
+from qjrl.control.evaluation import Evaluator, arrives_in_time, do_nothing
 from qjrl.control.motors import ramp_time
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
@@ -30,21 +30,21 @@ from qjrl.simulation.stepping import MujocoStepper
 QUANTITIES = ("position_error", "orientation_error", "strand_tension", "is_valid")
 
 
-def judge_of(targets, seed=5):
-    return Judge(ARM, CONFIG, targets, MujocoStepper(ARM, len(targets.target)), seed)
+def evaluator_of(targets, seed=5):
+    return Evaluator(ARM, CONFIG, targets, MujocoStepper(ARM, len(targets.target)), seed)
 
 
 @pytest.fixture(scope="module")
-def judge():
-    return judge_of(rows_of(bank(), range(NUM_ENVS)))
+def evaluator():
+    return evaluator_of(rows_of(bank(), range(NUM_ENVS)))
 
 
 @pytest.fixture(scope="module")
-def base_alone(judge):
-    return judge.judge()
+def base_alone(evaluator):
+    return evaluator.evaluate()
 
 
-def assert_same_judgement(one, other):
+def assert_same_evaluation(one, other):
     for quantity in QUANTITIES:
         np.testing.assert_array_equal(getattr(one, quantity), getattr(other, quantity), err_msg=quantity)
 
@@ -56,15 +56,15 @@ def physics_of(world):
     return parameters, observation[ACTOR_KEY][:, 2 * ARM.num_segments : 4 * ARM.num_segments]
 
 
-def test_judging_twice_gives_the_same_numbers(judge, base_alone):
-    assert_same_judgement(judge.judge(), base_alone)
+def test_evaluating_twice_gives_the_same_numbers(evaluator, base_alone):
+    assert_same_evaluation(evaluator.evaluate(), base_alone)
 
 
-def test_doing_nothing_is_the_base_controller(judge, base_alone):
-    assert_same_judgement(judge.judge(lambda seen: do_nothing(seen, ARM.num_cables)), base_alone)
+def test_doing_nothing_is_the_base_controller(evaluator, base_alone):
+    assert_same_evaluation(evaluator.evaluate(lambda seen: do_nothing(seen, ARM.num_cables)), base_alone)
 
 
-def test_every_controller_meets_the_same_arms_and_the_same_noise(judge):
+def test_every_controller_meets_the_same_arms_and_the_same_noise(evaluator):
     """The parameters and the readings' noise do not depend on what the controller does."""
     world = World(seed=5)
     parameters, readings = physics_of(world)
@@ -92,21 +92,21 @@ def test_arms_differ_from_row_to_row_and_from_seed_to_seed():
         assert not np.any(values == others[name])
 
 
-def test_a_controller_that_drives_away_is_judged_worse(judge, base_alone):
-    away = judge.judge(lambda seen: np.ones((len(seen), ARM.num_cables), np.float32))
+def test_a_controller_that_drives_away_is_evaluated_worse(evaluator, base_alone):
+    away = evaluator.evaluate(lambda seen: np.ones((len(seen), ARM.num_cables), np.float32))
     assert np.all(away.position_error > base_alone.position_error)
 
 
-def test_errors_are_means_over_the_scored_end(judge):
+def test_errors_are_means_over_the_scored_end(evaluator):
     world = World(seed=5)
     world.reset()
     errors = [np.asarray(world.step(nothing()).metrics["position_error"]) for _ in range(CONFIG.episode_steps)]
-    judged = judge.judge()
-    np.testing.assert_array_equal(judged.position_error, np.mean(errors[-CONFIG.scored_steps :], axis=0))
-    np.testing.assert_array_equal(judged.position_trace, errors)
+    evaluated = evaluator.evaluate()
+    np.testing.assert_array_equal(evaluated.position_error, np.mean(errors[-CONFIG.scored_steps :], axis=0))
+    np.testing.assert_array_equal(evaluated.position_trace, errors)
 
 
-def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(judge, base_alone):
+def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(evaluator, base_alone):
     calls = []
 
     def act(seen):
@@ -115,32 +115,32 @@ def test_a_row_that_diverges_is_not_valid_and_the_others_are_untouched(judge, ba
         actions[1] = np.nan if len(calls) == 7 else 0.0
         return actions
 
-    judged, others = judge.judge(act), [0, 2, 3]  # sound, all of them
-    assert judged.is_valid.tolist() == [True, False, True, True] and base_alone.is_valid.all()
+    evaluated, others = evaluator.evaluate(act), [0, 2, 3]  # sound, all of them
+    assert evaluated.is_valid.tolist() == [True, False, True, True] and base_alone.is_valid.all()
     for quantity in QUANTITIES:
-        np.testing.assert_array_equal(getattr(judged, quantity)[others], getattr(base_alone, quantity)[others])
+        np.testing.assert_array_equal(getattr(evaluated, quantity)[others], getattr(base_alone, quantity)[others])
 
 
-def test_an_engine_judges_much_as_c_mujoco_does_and_leaves_the_neighbours_of_what_diverges_alone(base_alone):
+def test_an_engine_evaluates_much_as_c_mujoco_does_and_leaves_the_neighbours_of_what_diverges_alone(base_alone):
     """Errors of arms that follow their commands; on the way the two engines differ as two integrators do."""
     targets = rows_of(bank(), range(NUM_ENVS))
-    judge = Judge(ARM, CONFIG, targets, make_stepper(ARM, NUM_ENVS, ENGINE), 5)
-    alone = judge.judge()
+    evaluator = Evaluator(ARM, CONFIG, targets, make_stepper(ARM, NUM_ENVS, ENGINE), 5)
+    alone = evaluator.evaluate()
     assert alone.is_valid.all()
     np.testing.assert_allclose(alone.position_error, base_alone.position_error, rtol=0.0, atol=1e-3)
 
     def act(seen):
         return np.where(np.arange(NUM_ENVS)[:, None] == 1, np.nan, do_nothing(seen, ARM.num_cables))
 
-    judged, others = judge.judge(act), [0, 2, 3]
-    assert judged.is_valid.tolist() == [True, False, True, True]
+    evaluated, others = evaluator.evaluate(act), [0, 2, 3]
+    assert evaluated.is_valid.tolist() == [True, False, True, True]
     for quantity in QUANTITIES:
-        np.testing.assert_array_equal(getattr(judged, quantity)[others], getattr(alone, quantity)[others])
+        np.testing.assert_array_equal(getattr(evaluated, quantity)[others], getattr(alone, quantity)[others])
 
 
-def test_progress_counts_every_step_of_every_arm(judge):
+def test_progress_counts_every_step_of_every_arm(evaluator):
     counted = []
-    judge.judge(advance=counted.append)
+    evaluator.evaluate(advance=counted.append)
     assert sum(counted) == CONFIG.episode_steps * NUM_ENVS
 
 
@@ -181,22 +181,22 @@ def test_all_controllers_are_compared_on_both_sets_and_the_same_rows(compared):
     assert len(set(names)) == 7 and set(compared) == {
         (target_set, name) for target_set in TARGET_SETS for name in names
     }
-    assert {len(judgement.position_error) for judgement, _ in compared.values()} == {3}
+    assert {len(evaluation.position_error) for evaluation, _ in compared.values()} == {3}
     assert {left_out for _, left_out in compared.values()} == {1}
 
 
 def test_a_policy_that_does_nothing_equals_its_base_bit_for_bit(compared):
     for target_set in TARGET_SETS:
-        assert_same_judgement(compared[target_set, "learned_ik+residual"][0], compared[target_set, "learned_ik"][0])
+        assert_same_evaluation(compared[target_set, "learned_ik+residual"][0], compared[target_set, "learned_ik"][0])
         # The bases of these columns are the same where they are in time, and this environment has no feedback.
-        assert_same_judgement(compared[target_set, "nominal"][0], compared[target_set, "learned_ik"][0])
-        assert_same_judgement(compared[target_set, "learned_ik+integral"][0], compared[target_set, "learned_ik"][0])
+        assert_same_evaluation(compared[target_set, "nominal"][0], compared[target_set, "learned_ik"][0])
+        assert_same_evaluation(compared[target_set, "learned_ik+integral"][0], compared[target_set, "learned_ik"][0])
 
 
 def test_a_policy_that_drives_away_shows(compared):
     config = PolicyConfig(base="learned", environment=CONFIG)
     found = compare_controllers(ARM, SettleConfig(), config, policy_that(3.0), columns(), seed=3)
     for target_set in TARGET_SETS:
-        assert_same_judgement(found[target_set, "nominal"][0], compared[target_set, "nominal"][0])
+        assert_same_evaluation(found[target_set, "nominal"][0], compared[target_set, "nominal"][0])
         pair = found[target_set, "learned_ik+residual"][0], found[target_set, "learned_ik"][0]
         assert np.all(pair[0].position_error > pair[1].position_error)

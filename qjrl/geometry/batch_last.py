@@ -1,5 +1,5 @@
-"""Vectors (3, *lanes) and matrices (3, n, *lanes) of many arms at once: components first and lanes last, so that each
-component is one long row for the processor. Written out instead of one small product per lane."""
+"""Vectors (3, *batch) and matrices (3, n, *batch) of many arms at once: components first and the batch last, so that each
+component is one long row for the processor. Written out instead of one small product an arm."""
 
 import functools
 
@@ -8,12 +8,12 @@ import jax.numpy as jnp
 
 
 def from_rows(*rows) -> jax.Array:
-    """Matrix of rows of entries, each (*lanes)."""
+    """Matrix of rows of entries, each (*batch)."""
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def identity_like(matrix: jax.Array) -> jax.Array:
-    """The identity, as many as `matrix` (3, 3, *lanes) holds."""
+    """The identity, as many as `matrix` (3, 3, *batch) holds."""
     return jnp.zeros_like(matrix) + jnp.eye(3, dtype=matrix.dtype).reshape(3, 3, *[1] * (matrix.ndim - 2))
 
 
@@ -39,7 +39,7 @@ def product(matrix: jax.Array, other: jax.Array) -> jax.Array:
 
 
 def rotation_vector(rotation: jax.Array, target: jax.Array) -> jax.Array:
-    """Logarithm of target rotation^T (3, 3, *lanes): axis times angle in the base frame [rad]; undefined at half a turn."""
+    """Logarithm of target rotation^T (3, 3, *batch): axis times angle in the base frame [rad]; undefined at half a turn."""
     relative = jnp.sum(target[:, None] * rotation[None], axis=2)
     sine_axis = 0.5 * jnp.stack(
         [relative[2, 1] - relative[1, 2], relative[0, 2] - relative[2, 0], relative[1, 0] - relative[0, 1]]

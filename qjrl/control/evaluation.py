@@ -1,4 +1,4 @@
-"""Judge a controller: one episode for every target of a bank, under given randomisation, errors at the end."""
+"""Evaluate a controller: one episode for every target of a bank, under given randomisation, errors at the end."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping
@@ -27,7 +27,7 @@ Act = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True)
-class Judgement:
+class Evaluation:
     """Means over the scored end of one episode a target; rows that diverged or whose arm was lost are not valid."""
 
     position_error: np.ndarray
@@ -82,7 +82,7 @@ def do_nothing(observation: np.ndarray, action_size: int) -> np.ndarray:
     return np.zeros((len(observation), action_size), np.float32)
 
 
-class Judge:
+class Evaluator:
     """A set of targets with its own simulations; every controller gets the same parameters and the same noise.
 
     The physics is a stepper's, on the host; everything else are the pure functions that train, in the caller's precision.
@@ -98,7 +98,7 @@ class Judge:
         self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
         self._held = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
 
-    def judge(self, act: Act | None = None, advance=None) -> Judgement:
+    def evaluate(self, act: Act | None = None, advance=None) -> Evaluation:
         """Run one episode of every target; without `act`, the base controller alone.
 
         Args:
@@ -130,7 +130,7 @@ class Judge:
         scored = slice(-self._config.scored_steps, None)
         mean_position, mean_orientation = (np.mean(errors[scored], axis=0) for errors in (position, orientation))
         is_valid &= np.isfinite(mean_position) & np.isfinite(mean_orientation)
-        return Judgement(mean_position, mean_orientation, tension, np.stack(position), is_valid)
+        return Evaluation(mean_position, mean_orientation, tension, np.stack(position), is_valid)
 
 
 @dataclasses.dataclass(frozen=True)
