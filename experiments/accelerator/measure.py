@@ -29,7 +29,7 @@ from qjrl.control.environment import residual_env
 from qjrl.control.inversion import IKConfig, solve_model
 from qjrl.control.nominal_environment import nominal_bank
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.targets import draw_bends, target_poses
+from qjrl.control.targets import draw_configurations, target_poses
 from qjrl.learning.fitting import FitState, FittedNetwork, Rows, make_optimiser, mean_squared_error, train_epoch
 from qjrl.learning.ppo.checkpointer import PROGRESS
 from qjrl.learning.ppo.train import train
@@ -142,7 +142,7 @@ def solving(bench: Bench) -> dict[str, Any]:
     config = shipped(IKConfig, "ik/least_squares")
     config = dataclasses.replace(config, least_squares=dataclasses.replace(config.least_squares, batch_size=bench.rows))
     model = made_up_model(bench.robot)
-    targets = target_poses(bench.robot, draw_bends(bench.robot, "uniform", bench.rows, 0))
+    targets = target_poses(bench.robot, draw_configurations(bench.robot, "uniform", bench.rows, 0))
     solve = partial(solve_model, bench.robot, targets, model, config, 0)
     first, _ = timed(solve)
     seconds, found = timed(solve)

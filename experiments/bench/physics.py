@@ -10,7 +10,7 @@ import numpy as np
 from qjrl.provenance import provenance
 from qjrl.robot import load_robot
 from qjrl.robot.quaternion_arm.dynamics import Load, equations_of_motion
-from qjrl.simulation.minimal_step import MinimalState, Physics, minimal_steps
+from qjrl.robot.quaternion_arm.minimal_step import MinimalState, Physics, minimal_steps
 from qjrl.xla_options import CPU_COMPILER_OPTIONS
 
 ROBOT, TIMESTEP, NUM_STEPS, REPEATS = "qj_2222", 0.005, 4, 25

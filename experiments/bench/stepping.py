@@ -9,11 +9,12 @@ import numpy as np
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters, Stepper
+from qjrl.simulation.stepping import MujocoStepper, Stepper
 
 ROBOT, NUM_ARMS, NUM_STEPS, CONTROL_PERIOD, RAMP_STEPS = "qj_2222", 512, 40, 0.02, 100
 

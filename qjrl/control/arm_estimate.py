@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.config import Range, configuration
-from qjrl.control.sensors import rotation_vectors
+from qjrl.control.sensors import encoders_of, exact_reading
 from qjrl.geometry import cholesky
-from qjrl.robot import bends_from_cables, equilibrium
-from qjrl.robot.verbs import Robot
+from qjrl.robot.kinds import configuration_shape, kind_of, num_coordinates
+from qjrl.robot.verbs import Robot, configuration_from_cables, equilibrium
 
 # Variance of what nothing is believed of, in those of one reading.
 _VAGUE = 1e6
@@ -44,24 +44,29 @@ class Prior:
     """What is believed of an arm before it is read."""
 
     expected: Any
-    """(segments, 2) how far from where a perfect arm would be it rests, as in `sensors.remember` [rad]."""
+    """(...) how far from where a perfect arm would be it rests, as in `sensors.remember` [rad]."""
     covariance: Any
-    """(2 segments, 2 segments) of that, in standard deviations of one reading."""
+    """(coordinates, coordinates) of that, in standard deviations of one reading."""
 
 
 def prior(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Prior:
-    """Of an arm that shall hold cable lengths (num_cables,) [m]; where no pose is stable, next to nothing."""
+    """Of an arm that shall hold cable lengths (num_cables,) [m]; where no pose is stable, or its kind has no statics, next
+    to nothing."""
+    size, dtype = num_coordinates(robot), base_lengths.dtype
+    if kind_of(robot).equilibrium is None:
+        return Prior(jnp.zeros(configuration_shape(robot), dtype), _VAGUE * jnp.eye(size, dtype=dtype))
     rest = equilibrium(robot, base_lengths)
     unknown = (
         config.gain * rest.by_gain[..., None],
         math.radians(config.tilt_deg) * rest.by_tilt,
         config.friction * rest.by_pull,
     )
-    turned = jax.jacfwd(rotation_vectors)(rest.bends).reshape(2 * robot.num_segments, -1)
-    causes = turned @ jnp.concatenate(unknown, axis=-1).reshape(2 * robot.num_segments, -1)
+    turned = jax.jacfwd(partial(exact_reading, robot))(rest.configuration).reshape(size, size)
+    causes = turned @ jnp.concatenate(unknown, axis=-1).reshape(size, -1)
     causes = causes / _noise(config, robot).reshape(-1, 1).astype(causes.dtype)
-    expected = rotation_vectors(rest.bends) - rotation_vectors(bends_from_cables(robot, base_lengths))
-    covariance, dtype = causes @ causes.T, base_lengths.dtype
+    held = configuration_from_cables(robot, base_lengths)
+    expected = exact_reading(robot, rest.configuration) - exact_reading(robot, held)
+    covariance = causes @ causes.T
     is_stable = jnp.all(jnp.isfinite(expected)) & jnp.all(jnp.isfinite(covariance))
     vague = _VAGUE * jnp.eye(len(covariance))
     return Prior(
@@ -76,7 +81,7 @@ def priors(config: EstimateConfig, robot: Robot, base_lengths: jax.Array) -> Pri
 
 
 def estimate(config: EstimateConfig, robot: Robot, believed: Prior, mean: jax.Array, count: jax.Array) -> jax.Array:
-    """(segments, 2) [rad] from the mean (segments, 2) of `count` readings: the linear minimum mean-square-error update."""
+    """[rad] from the mean of `count` readings: the linear minimum mean-square-error update."""
     noise = _noise(config, robot).astype(mean.dtype)
     innovation = ((mean - believed.expected) / noise).reshape(-1)
     total = believed.covariance + jnp.eye(len(innovation), dtype=mean.dtype) / count
@@ -85,6 +90,7 @@ def estimate(config: EstimateConfig, robot: Robot, believed: Prior, mean: jax.Ar
 
 
 def _noise(config: EstimateConfig, robot: Robot) -> jax.Array:
-    """(segments, 2) [rad] of a segment's reading, the mean over its joints."""
-    joints = jnp.array(robot.joints_per_segment, float)[:, None]
-    return math.radians(config.encoder_noise_deg) / jnp.sqrt(jnp.tile(joints, 2))
+    """Of a reading, of the configuration's shape [rad]; each row is the mean over its joints."""
+    counts, shape = jnp.array(encoders_of(robot), float)[:, None], configuration_shape(robot)
+    each = math.radians(config.encoder_noise_deg) / jnp.sqrt(counts)
+    return jnp.broadcast_to(each, (len(counts), math.prod(shape) // len(counts))).reshape(shape)

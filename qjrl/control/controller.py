@@ -15,8 +15,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.control import arm_estimate, motors, tip_correction
-from qjrl.control.observations import ACTION_HISTORY, ControlState, Gains, actor_observation, held_rotation_vectors
+from qjrl.control.observations import ACTION_HISTORY, ControlState, Gains, actor_observation, held_reading
 from qjrl.control.sensors import MEMORY_SIZE, SETTLING, readings_at_the_end, remember
+from qjrl.robot.kinds import configuration_shape
 from qjrl.robot.verbs import Robot
 
 
@@ -37,7 +38,7 @@ class ControllerConfig:
 def prepare(
     config: ControllerConfig, robot: Robot, target: jax.Array, base_lengths: jax.Array, reading: jax.Array
 ) -> ControlState:
-    """The state before the first `tick`, which gets the same reading (segments, 2) [rad] again: its clock stands at -1.
+    """The state before the first `tick`, which gets the same reading, of the configuration's shape [rad], again: its clock stands at -1.
 
     A memory that holds this reading alone is not changed by it, and no feedback acts while the base command is ramped in.
     """
@@ -52,7 +53,7 @@ def tick(
     state: ControlState,
     reading: jax.Array,
 ) -> ControlState:
-    """One control period of a robot: from a reading (segments, 2) [rad] to the command that the motors shall hold now.
+    """One control period of a robot: from a reading, of the configuration's shape [rad], to the command that the motors shall hold now.
 
     Args:
         act: what the policy does on an observation.
@@ -93,7 +94,7 @@ def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
     """The state at the begin of a task; the arm is at home."""
     zeros = jnp.zeros((robot.num_cables,), task.base_lengths.dtype)
     residual = jnp.zeros((motors.action_size(config.residual, robot),), zeros.dtype)
-    readings = jnp.zeros((robot.num_segments, 2), zeros.dtype)
+    readings = jnp.zeros(configuration_shape(robot), zeros.dtype)
     return ControlState(
         gains=task.gains,
         target=task.target,
@@ -116,8 +117,8 @@ def begin(config: ControllerConfig, robot: Robot, task: Task) -> ControlState:
 
 
 def start(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
-    """The first reading (segments, 2) [rad] fills the memory."""
-    memory = jnp.broadcast_to(reading - held_rotation_vectors(robot, state.command), state.memory.shape)
+    """The first reading, of the configuration's shape [rad], fills the memory."""
+    memory = jnp.broadcast_to(reading - held_reading(robot, state.command), state.memory.shape)
     return _estimated(config, robot, dataclasses.replace(state, reading=reading, memory=memory))
 
 
@@ -140,7 +141,7 @@ def _estimated(config: ControllerConfig, robot: Robot, state: ControlState) -> C
     count = readings_at_the_end(since, config.control_period) if config.remembers else jnp.ones_like(since)
     believed = arm_estimate.Prior(state.expected, state.covariance)
     guess = arm_estimate.estimate(config.estimate, robot, believed, state.memory[-1], count)
-    held = held_rotation_vectors(robot, state.base_lengths + state.integral)
+    held = held_reading(robot, state.base_lengths + state.integral)
     error = tip_correction.tip_error(tip_correction.sensed_pose(robot, held + guess), state.target)
     has_settled = (ramped_in(config, robot, state) >= 1.0) & (since >= SETTLING)
     error = jnp.where(has_settled, error, 0.0).astype(state.tip_error.dtype)
@@ -166,12 +167,12 @@ def plan(config: ControllerConfig, robot: Robot, state: ControlState, action: ja
 
 
 def sense(config: ControllerConfig, robot: Robot, state: ControlState, reading: jax.Array) -> ControlState:
-    """A reading (segments, 2) [rad] one control period later: memory, integral and estimate.
+    """A reading, of the configuration's shape [rad], one control period later: memory, integral and estimate.
 
     Feedback acts once the base command is ramped in and the first swings of the dither are over.
     """
     state = dataclasses.replace(state, step=state.step + 1, reading=reading)
-    deviation = state.reading - held_rotation_vectors(robot, state.command)
+    deviation = state.reading - held_reading(robot, state.command)
     memory = remember(state.memory, deviation, waited(config, robot, state), config.control_period)
     if not config.remembers:
         memory = jnp.broadcast_to(deviation, memory.shape)

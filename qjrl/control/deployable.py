@@ -13,6 +13,7 @@ from qjrl.control.controller import ControllerConfig
 from qjrl.control.motors import action_size
 from qjrl.control.observations import ControlState
 from qjrl.learning.ppo.policy import Policy, deterministic_action
+from qjrl.robot.kinds import configuration_shape
 from qjrl.robot.verbs import Robot
 
 Arrays = dict[str, jax.Array]
@@ -47,7 +48,7 @@ def checked_policy(config: ControllerConfig, robot: Robot, policy: Policy) -> Po
     Raises:
         ArtifactError: it was trained on other observations or other actions.
     """
-    numbers = jnp.zeros(9), jnp.zeros(robot.num_cables), jnp.zeros((robot.num_segments, 2))
+    numbers = jnp.zeros(9), jnp.zeros(robot.num_cables), jnp.zeros(configuration_shape(robot))
     seen = jax.eval_shape(
         lambda *task: controller.observation(config, robot, controller.prepare(config, robot, *task)), *numbers
     )

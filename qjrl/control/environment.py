@@ -19,10 +19,10 @@ from qjrl.control.motors import action_size
 from qjrl.learning.ppo.environment import State
 from qjrl.learning.some_rows import for_some_rows
 from qjrl.robot import in_precision
+from qjrl.robot.plant import PlantState
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import Engine
-from qjrl.simulation.stepping import PlantState
 
 
 @struct.dataclass

@@ -27,8 +27,8 @@ from qjrl.control.termination import TerminationConfig
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.learning.ppo.environment import ACTOR_KEY, CRITIC_KEY, EXPERT_KEY
 from qjrl.robot import configuration_from_joint_positions, strand_commands
+from qjrl.robot.plant import PhysicalParameters, PlantState
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.stepping import PhysicalParameters, PlantState
 
 
 @configuration

@@ -18,7 +18,7 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.robot import joint_positions, strand_commands
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.stepping import Stepper
 
@@ -95,7 +95,7 @@ class Evaluator:
         keys = jax.vmap(partial(jax.random.fold_in, jax.random.key(seed)))(rows)
         tasks = tasks_of(config, robot, bank)
         self._begun = _compiled(config).begin(robot, tasks, keys, rows, jnp.zeros(len(rows), bool))
-        self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
+        self._home = np.asarray(joint_positions(robot, home(robot)))
         self._held = np.asarray(strand_commands(robot, jnp.zeros(robot.num_cables)))
 
     def evaluate(self, act: Act | None = None, advance=None) -> Evaluation:

@@ -7,9 +7,11 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 
 from qjrl.control.randomisation import RandomisationConfig
+from qjrl.control.sensors import encoders_of
 from qjrl.robot.verbs import Robot
 
 
@@ -22,7 +24,7 @@ class Faults:
     backlash: jax.Array
     """Half the width of the dead band between motors and cables [m]."""
     working_encoders: jax.Array
-    """(segments,) joints of each segment whose encoders work; the others read no bend."""
+    """(rows,) encoders of each row of a reading that work; the others read zero."""
     sent: jax.Array
     """(largest delay, num_cables) commands [m] under way, newest first."""
     held: jax.Array
@@ -34,16 +36,14 @@ def draw_faults(config: RandomisationConfig, robot: Robot, key: jax.Array, held:
     key_delay, key_backlash, key_dead, key_joint = jax.random.split(key, 4)
     shortest, longest = config.delay
     low, high = config.backlash
-    segments = jnp.repeat(
-        jnp.arange(robot.num_segments), jnp.array(robot.joints_per_segment), total_repeat_length=robot.num_joints
-    )
-    segment = segments[jax.random.randint(key_joint, (), 0, robot.num_joints)]
+    counts = encoders_of(robot)
+    row = jnp.asarray(np.repeat(np.arange(len(counts)), counts))[jax.random.randint(key_joint, (), 0, sum(counts))]
     is_dead = jax.random.uniform(key_dead) < config.dead_encoder_share
-    dead = is_dead & (jnp.arange(robot.num_segments) == segment)
+    dead = is_dead & (jnp.arange(len(counts)) == row)
     return Faults(
         delay=jax.random.randint(key_delay, (), shortest, longest + 1),
         backlash=low + (high - low) * jax.random.uniform(key_backlash),
-        working_encoders=jnp.array(robot.joints_per_segment, held.dtype) - dead,
+        working_encoders=jnp.array(counts, held.dtype) - dead,
         sent=jnp.broadcast_to(held, (longest, *held.shape)),
         held=held,
     )

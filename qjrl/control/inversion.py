@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range, configuration
-from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_bends, target_poses
+from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_configurations, target_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.verbs import Robot
+from qjrl.robot.kinds import kind_of
+from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
@@ -41,16 +42,16 @@ def solve_target_set(
 ) -> dict[str, np.ndarray]:
     """Targets of a set with both base commands: arrays of a target bank, one row a target.
 
-    `nominal_lengths` are the cables of the bends that define the target: the closed form's own answer, exact for it.
+    `nominal_lengths` are the cables of the configuration that defines the target: the closed form's own answer, exact for it.
     """
-    bends = draw_bends(robot, target_set, count, seed, config.targets)
-    poses = target_poses(robot, bends)
+    configurations = draw_configurations(robot, target_set, count, seed, config.targets)
+    poses = target_poses(robot, configurations)
     answer = solve_model(robot, poses, model, config, seed, advance)
     return {
         "target_set": np.full(count, TARGET_SETS.index(target_set)),
         "target": poses,
-        "bends": bends,
-        "nominal_lengths": np.asarray(jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(bends))),
+        kind_of(robot).configuration_name: configurations,
+        "nominal_lengths": np.asarray(jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(configurations))),
         "learned_lengths": np.asarray(answer.cable_lengths),
         "predicted_position_error": np.asarray(answer.position_error),
         "predicted_orientation_error": np.asarray(answer.orientation_error),
@@ -89,8 +90,8 @@ def solve_model(
 
 def solve_nominal(robot: Robot, targets: np.ndarray, solver: LeastSquaresConfig, seed: int) -> SolveResult:
     """Least squares on the closed form from home, where a target has an answer that leaves the arm as straight as it can be."""
-    home = np.zeros((robot.num_segments, 2))
-    return solve_least_squares(robot, targets, home, solver, draw_candidates(robot, solver, seed))
+    start = np.asarray(home(robot))
+    return solve_least_squares(robot, targets, start, solver, draw_candidates(robot, solver, seed))
 
 
 def settle_answers(

@@ -8,7 +8,7 @@ from qjrl.config import ConfigError
 from qjrl.control.environment import ResidualEnv, residual_env
 from qjrl.control.episode import Bank, EnvironmentConfig
 from qjrl.control.evaluation import arrives_in_time
-from qjrl.control.targets import draw_bends, target_poses
+from qjrl.control.targets import draw_configurations, target_poses
 from qjrl.robot import cable_lengths, load_robot
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
@@ -38,7 +38,7 @@ def nominal_environment(
 
 def nominal_bank(robot: Robot, config: EnvironmentConfig, num_targets: int, seed: int) -> Bank:
     """Targets with uniform bends that the arm reaches in time, and the closed form's commands for them."""
-    bends = draw_bends(robot, "uniform", num_targets, seed)
+    bends = draw_configurations(robot, "uniform", num_targets, seed)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(jnp.asarray(bends))
     in_time = np.flatnonzero(arrives_in_time(robot, config, np.asarray(lengths)))
     if len(in_time) == 0:

@@ -4,11 +4,10 @@ import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.control.sensors import rotation_vectors
+from qjrl.control.sensors import exact_reading
 from qjrl.control.tip_correction import sensed_pose, tip_error
-from qjrl.robot import bends_from_cables
-from qjrl.robot.verbs import Robot
-from qjrl.simulation.stepping import PlantState
+from qjrl.robot.plant import PlantState
+from qjrl.robot.verbs import Robot, configuration_from_cables
 
 # Actions the actor remembers (paper 000, section 4).
 ACTION_HISTORY = 4
@@ -45,9 +44,9 @@ class ControlState:
     correction: jax.Array
     """(num_cables, 6) cables for each metre that the tip lacks, around the base command."""
     expected: jax.Array
-    """(segments, 2) deviation from the command with which the arm is believed to rest before it is read [rad]."""
+    """(...) deviation from the command with which the arm is believed to rest before it is read [rad]."""
     covariance: jax.Array
-    """(2 segments, 2 segments) of that, in standard deviations of one reading."""
+    """(coordinates, coordinates) of that, in standard deviations of one reading."""
     integral: jax.Array
     """(num_cables,) what integral feedback adds [m]."""
     residual: jax.Array
@@ -55,11 +54,11 @@ class ControlState:
     actions: jax.Array
     """(ACTION_HISTORY, action size), newest first."""
     reading: jax.Array
-    """(segments, 2) newest encoder estimate [rad]."""
+    """(...) newest encoder estimate, of the configuration's shape [rad]."""
     memory: jax.Array
-    """(MEMORY_SIZE, segments, 2) means of the readings' deviation from the command [rad]."""
+    """(MEMORY_SIZE, ...) means of the readings' deviation from the command [rad]."""
     estimated: jax.Array
-    """(segments, 2) estimate of how far from where a perfect arm would be this one rests [rad]."""
+    """(...) estimate of how far from where a perfect arm would be this one rests [rad]."""
     tip_error: jax.Array
     """(6,) what the tip lacks of its target by that estimate, without residual and dither [m]."""
     step: jax.Array
@@ -85,12 +84,12 @@ def actor_observation(
         ramp: how much of the base command is ramped in, 0 to 1.
         waited: time [s] since then.
     """
-    held = held_rotation_vectors(robot, state.command)
+    held = held_reading(robot, state.command)
     deviations = jnp.concatenate([(state.reading - held)[None], state.memory])
-    without = held_rotation_vectors(robot, state.command - offset)
+    without = held_reading(robot, state.command - offset)
     read = jax.vmap(lambda one: tip_error(sensed_pose(robot, without + one), state.target))(deviations)
     parts = (
-        rotation_vectors(bends_from_cables(robot, state.base_lengths)),
+        held_reading(robot, state.base_lengths),
         deviations,
         state.estimated,
         jnp.where(ramp >= 1.0, read, 0.0),
@@ -108,9 +107,9 @@ def actor_observation(
     return jnp.concatenate([part.reshape(-1) for part in parts]).astype(jnp.float32)
 
 
-def held_rotation_vectors(robot: Robot, command: jax.Array) -> jax.Array:
-    """(segments, 2) [rad] where a motor command (num_cables,) [m] would hold a perfect arm."""
-    return rotation_vectors(bends_from_cables(robot, command))
+def held_reading(robot: Robot, command: jax.Array) -> jax.Array:
+    """What perfect encoders would read where a motor command (num_cables,) [m] holds a perfect robot."""
+    return exact_reading(robot, configuration_from_cables(robot, command))
 
 
 def critic_observation(

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range, configuration
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.stepping import PhysicalParameters
 
 Interval = tuple[Annotated[float, Range(low=0.0)], Annotated[float, Range(low=0.0)]]
 Periods = Annotated[int, Range(0, 100)]
@@ -72,7 +72,7 @@ def draw_parameters(config: RandomisationConfig, robot: Robot, key: jax.Array) -
         gain_scale=_log_uniform(key_gain, config.gain_scale),
         tilt=tilt * jnp.stack([jnp.cos(direction), jnp.sin(direction)]),
         strand_stiffness_scale=_log_uniform(key_strands, config.strand_stiffness_scale, (robot.num_strands,)),
-        payload=robot.config.mechanics.payload + _uniform(key_payload, config.payload),
+        payload=robot.payload + _uniform(key_payload, config.payload),
     )
 
 

@@ -11,8 +11,9 @@ from qjrl.control.faults import Faults, draw_faults, transmit
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.control.sensors import read_encoders
 from qjrl.robot import configuration_from_joint_positions, joint_positions, strand_commands
-from qjrl.robot.verbs import Robot
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.robot.plant import PhysicalParameters
+from qjrl.robot.verbs import Robot, home
+from qjrl.simulation.stepping import MujocoStepper
 
 
 class SimulatedArm:
@@ -24,7 +25,7 @@ class SimulatedArm:
         self._robot, self._key = robot, jax.random.key(seed)
         self._draw = jax.jit(partial(_draw, randomisation, robot))
         self._transmit = jax.jit(partial(_transmit, robot))
-        self._home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))[None]
+        self._home = np.asarray(joint_positions(robot, home(robot)))[None]
         self._sense = jax.jit(partial(_sense, robot, randomisation.encoder_noise_deg))
         self.home(0)
 

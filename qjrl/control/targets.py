@@ -8,7 +8,7 @@ import numpy as np
 
 from qjrl.config import Range, configuration
 from qjrl.robot import forward_kinematics
-from qjrl.robot.quaternion_arm.sampling import bends_at_distance, uniform_bends
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 
 # name -> law. Both sets are always evaluated; the first is the headline.
@@ -23,7 +23,7 @@ class TargetConfig:
     """d_max of d = d_max u^3 [m], distance of the target tip from the home tip (paper 000, section 5.4.2)."""
 
 
-def draw_bends(
+def draw_configurations(
     robot: Robot, target_set: str, count: int, seed: int, config: TargetConfig = TargetConfig()
 ) -> np.ndarray:
     """Bends (count, segments, 2) of a target set; row i depends on (set, seed, i) alone.
@@ -42,16 +42,16 @@ def draw_bends(
 
 
 def target_poses(robot: Robot, bends: np.ndarray) -> np.ndarray:
-    """Poses (n, 9) that the nominal kinematics gives for bends (n, segments, 2)."""
+    """Poses (n, 9) that the nominal kinematics gives for configurations (n, ...)."""
     return np.asarray(jax.jit(jax.vmap(lambda row: forward_kinematics(robot, row)))(jnp.asarray(bends)))
 
 
 def _uniform(robot: Robot, key: jax.Array, config: TargetConfig) -> jax.Array:
     del config
-    return uniform_bends(robot, key)
+    return verb(robot, "random")(robot, key)
 
 
 def _near_home(robot: Robot, key: jax.Array, config: TargetConfig) -> jax.Array:
     key_distance, key_direction = jax.random.split(key)
     distance = config.largest_distance * jax.random.uniform(key_distance) ** 3
-    return bends_at_distance(robot, key_direction, distance)
+    return verb(robot, "at_distance")(robot, key_direction, distance)

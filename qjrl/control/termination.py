@@ -10,11 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range, configuration
-from qjrl.control.sensors import rotation_vectors
-from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import configuration_from_joint_positions
+from qjrl.robot.kinds import kind_of, verb
+from qjrl.robot.plant import PlantState
 from qjrl.robot.verbs import Robot, is_at_strength
-from qjrl.simulation.stepping import PlantState
 
 
 @configuration
@@ -30,10 +29,10 @@ class TerminationConfig:
 
 
 def is_overloaded(robot: Robot, plant: PlantState) -> jax.Array:
-    """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N], loop by loop."""
-    loops = plant.strand_tension.reshape(-1, 2)
-    stalls = jnp.any(jnp.abs(loops[:, 0] - loops[:, 1]) >= robot.config.motors.force)
-    return stalls | jnp.any(is_at_strength(robot, loops))
+    """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N]."""
+    force = verb(robot, "motor_force")(plant.strand_tension)
+    stalls = jnp.any(jnp.abs(force) >= robot.motor_force)
+    return stalls | jnp.any(is_at_strength(robot, plant.strand_tension))
 
 
 def overloaded_for(robot: Robot, before: jax.Array, plant: PlantState, period: float) -> jax.Array:
@@ -43,8 +42,8 @@ def overloaded_for(robot: Robot, before: jax.Array, plant: PlantState, period: f
 
 def is_lost(config: TerminationConfig, robot: Robot, plant: PlantState, overloaded: jax.Array) -> jax.Array:
     """Whether the arm is lost, `overloaded` being what `overloaded_for` says [s]."""
-    bends = configuration_from_joint_positions(robot, plant.joint_positions)
-    angles = jax.vmap(safe_norm)(rotation_vectors(bends))
-    joint = robot.config.joint
-    furthest = math.radians(joint.bend_limit_deg + joint.stop_margin_deg + config.excess_deg)
-    return (overloaded > config.overload_time) | jnp.any(angles > furthest)
+    has_stalled, excess = overloaded > config.overload_time, kind_of(robot).excess
+    if excess is None:
+        return has_stalled
+    configuration = configuration_from_joint_positions(robot, plant.joint_positions)
+    return has_stalled | (excess(robot, configuration) > math.radians(config.excess_deg))

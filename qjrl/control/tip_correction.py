@@ -9,11 +9,10 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range, configuration
-from qjrl.control.sensors import bends_of_rotation_vectors
+from qjrl.control.sensors import sensed_configuration
 from qjrl.geometry import cholesky
 from qjrl.geometry.pose import pose_difference
-from qjrl.robot import bends_from_cables, forward_kinematics
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, configuration_from_cables, forward_kinematics
 
 # A rotation of 1 rad weighs as much as a shift of this many metres.
 LEVER = 0.1
@@ -47,8 +46,8 @@ def damped_pseudo_inverse(robot: Robot, lengths: jax.Array, damping: float = 1.0
 
 
 def sensed_pose(robot: Robot, reading: jax.Array) -> jax.Array:
-    """Pose (9,) of the tip by the encoders' estimate (segments, 2) [rad]: links are rigid, so the kinematics is exact."""
-    return forward_kinematics(robot, bends_of_rotation_vectors(reading))
+    """Pose (9,) of the tip by the encoders' estimate [rad]: links are rigid, so the kinematics is exact."""
+    return forward_kinematics(robot, sensed_configuration(robot, reading))
 
 
 def integrate(
@@ -65,4 +64,4 @@ def integrate(
 
 
 def _tip(robot: Robot, lengths: jax.Array) -> jax.Array:
-    return forward_kinematics(robot, bends_from_cables(robot, lengths))
+    return forward_kinematics(robot, configuration_from_cables(robot, lengths))

@@ -9,14 +9,12 @@ from typing import Annotated
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from qjrl.config import Range, configuration
 from qjrl.deployment.functions import Outputs, SolveFunction
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.quaternion_arm.joint import vectors_from_bends
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.kinds import kind_of, num_coordinates
 from qjrl.robot.verbs import Robot, forward_kinematics
 from qjrl.solvers.levenberg_marquardt import Descent, DescentConfig, descend
 from qjrl.solvers.model_tip import lengths_of, tip_function
@@ -53,29 +51,31 @@ def compact_ik(robot: Robot, model: PoseFunction, config: CompactIKConfig, seed:
         config: starts, steps, tolerances.
         seed: of the candidates.
     """
-    vectors, features = _candidates(robot, config, seed)
+    coordinates, features = _candidates(robot, config, seed)
     limits = [jnp.asarray(count, jnp.int32) for count in (config.iterations, config.model_iterations)]
 
     def solve(target: jax.Array) -> Outputs:
-        starts = _nearest_of_groups(vectors, features, _features(config, target))
+        starts = _nearest_of_groups(coordinates, features, _features(config, target))
         wanted = jnp.broadcast_to(target[:, None], (9, config.num_starts))
         nominal = descend(robot, config.descent, starts, wanted, limits[0])
-        ends = descend(robot, config.descent, nominal.vectors, wanted, limits[1], tip_function(model))
+        ends = descend(robot, config.descent, nominal.coordinates, wanted, limits[1], tip_function(model))
         best = _preferred(robot, ends)
-        return _answer(robot, model, config, target, ends.vectors[..., best])
+        return _answer(robot, model, config, target, ends.coordinates[..., best])
 
     return solve
 
 
 def _candidates(robot: Robot, config: CompactIKConfig, seed: int) -> tuple[jax.Array, jax.Array]:
-    """Bend vectors (starts, candidates of a group, segments, 2) [rad] of random poses, and their features (..., 9)."""
+    """Coordinates (starts, candidates of a group, coordinates) of random poses, and their features (..., 9)."""
     count = config.num_candidates // config.num_starts * config.num_starts
-    numbers = jax.random.uniform(jax.random.key(seed), (count, robot.num_cables), robot.bend_limit.dtype)
-    bends = jax.vmap(lambda row: bends_from_unit_cube(robot, row))(numbers)
-    poses = jax.jit(jax.vmap(lambda row: forward_kinematics(robot, row)))(bends)
-    vectors = jnp.asarray(vectors_from_bends(np.asarray(bends)), bends.dtype)
+    precision = jax.tree.leaves(robot)[0].dtype
+    numbers = jax.random.uniform(jax.random.key(seed), (count, num_coordinates(robot)), precision)
+    kind = kind_of(robot)
+    configurations = jax.vmap(lambda row: kind.from_unit_cube(robot, row))(numbers)
+    poses = jax.jit(jax.vmap(lambda one: forward_kinematics(robot, one)))(configurations)
+    coordinates = jax.vmap(lambda one: kind.coordinates_of(robot, one))(configurations)
     groups = (config.num_starts, -1)
-    return vectors.reshape(*groups, robot.num_segments, 2), _features(config, poses).reshape(*groups, 9)
+    return coordinates.reshape(*groups, coordinates.shape[1]), _features(config, poses).reshape(*groups, 9)
 
 
 def _features(config: CompactIKConfig, poses: jax.Array) -> jax.Array:
@@ -83,26 +83,26 @@ def _features(config: CompactIKConfig, poses: jax.Array) -> jax.Array:
     return jnp.concatenate([poses[..., :3], config.descent.rotation_weight * poses[..., 3:]], axis=-1)
 
 
-def _nearest_of_groups(vectors: jax.Array, features: jax.Array, wanted: jax.Array) -> jax.Array:
-    """The nearest candidate of every group as starts (segments, 2, starts)."""
+def _nearest_of_groups(coordinates: jax.Array, features: jax.Array, wanted: jax.Array) -> jax.Array:
+    """The nearest candidate of every group as starts (coordinates, starts)."""
     nearest = jnp.argmin(jnp.sum((features - wanted) ** 2, axis=2), axis=1)
-    return jnp.moveaxis(vectors[jnp.arange(len(vectors)), nearest], 0, -1)
+    return jnp.moveaxis(coordinates[jnp.arange(len(coordinates)), nearest], 0, -1)
 
 
 def _preferred(robot: Robot, ends: Descent) -> jax.Array:
-    """Which start to believe: of those at the target the one with the smallest bends, else the nearest.
+    """Which start to believe: of those at the target the one nearest to home, else the nearest.
 
     The nearest of several redundant answers would be chosen by rounding alone, and jump from target to target.
     """
-    bend = jnp.sum(ends.vectors**2, axis=(0, 1))
-    largest = 2.0 * robot.num_segments * robot.bend_limit**2
-    return jnp.argmin(jnp.where(ends.is_near, bend, largest + ends.residual.cost))
+    size = jnp.sum(ends.coordinates**2, axis=0)
+    largest = 2.0 * jnp.max(size)
+    return jnp.argmin(jnp.where(ends.is_near, size, largest + ends.residual.cost))
 
 
 def _answer(
-    robot: Robot, model: PoseFunction, config: CompactIKConfig, target: jax.Array, vectors: jax.Array
+    robot: Robot, model: PoseFunction, config: CompactIKConfig, target: jax.Array, coordinates: jax.Array
 ) -> Outputs:
-    lengths = lengths_of(robot, vectors)
+    lengths = lengths_of(robot, coordinates)
     pose = model(lengths)
     position, orientation = position_error(pose, target), orientation_error(pose, target)
     is_near = (position <= config.descent.position_tolerance) & (orientation <= config.descent.orientation_tolerance)

@@ -10,8 +10,9 @@ import numpy as np
 from qjrl.config import as_mapping
 from qjrl.deployment.functions import POSE_NAMES, DeployedFunction, Port, Precision
 from qjrl.deployment.safety import reading_limits
+from qjrl.robot.kinds import verb
 from qjrl.robot.loading import robot_hash
-from qjrl.robot.plausibility import FARTHEST_TARGET, straight_length
+from qjrl.robot.plausibility import FARTHEST_TARGET
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_strokes
 
 FORMAT = 1
@@ -126,8 +127,8 @@ def _readings(robot: Robot) -> dict[str, Any]:
 def _targets(robot: Robot) -> dict[str, Any]:
     return {
         "meaning": "position in m, two orthonormal columns of the rotation; what is out of reach gets the nearest pose",
-        "length_of_the_arm": _quantity(straight_length(robot), "m"),
-        "largest_distance": _quantity(FARTHEST_TARGET * straight_length(robot), "m"),
+        "length_of_the_arm": _quantity(verb(robot, "reach")(robot), "m"),
+        "largest_distance": _quantity(FARTHEST_TARGET * verb(robot, "reach")(robot), "m"),
         "rule": "a position farther from the base than largest_distance is in another unit: refuse it",
     }
 

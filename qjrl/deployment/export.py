@@ -92,7 +92,7 @@ def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, 
             f"{forward_model}: was fitted to another data set than {dataset}; run stages=[forward_model,export]"
         )
     seed = read_provenance(forward_model)["seed"]
-    return settled_split(artifacts.load(dataset), config.held_out, seed)[1]
+    return settled_split(robot, artifacts.load(dataset), config.held_out, seed)[1]
 
 
 def export_controller(

@@ -15,7 +15,7 @@ import numpy as np
 from qjrl.config import Range, configuration
 from qjrl.geometry.pose import row_errors
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.kinds import kind_of, num_coordinates
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths
 
 LoadedFunction = Callable[..., Mapping[str, Any]]
@@ -76,8 +76,8 @@ def make_reference(
     Args:
         held_out: columns `cable_lengths` and `pose` of rows that the fit never saw.
     """
-    numbers = np.random.default_rng(seed).random((config.num_random, robot.num_cables))
-    draw = jax.jit(jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row))))
+    numbers = np.random.default_rng(seed).random((config.num_random, num_coordinates(robot)))
+    draw = jax.jit(jax.vmap(lambda row: cable_lengths(robot, kind_of(robot).from_unit_cube(robot, row))))
     measured = held_out["pose"][: config.num_held_out]
     lengths = np.concatenate([draw(jnp.asarray(numbers)), held_out["cable_lengths"][: config.num_held_out]])
     live = jax.jit(jax.vmap(pose))

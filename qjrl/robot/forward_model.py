@@ -1,9 +1,9 @@
 """Learned forward models, cable lengths -> pose: the paper's network, and the same network as a correction.
 
-The paper's form maps scaled lengths to the pose. The corrected form works in the arm's own coordinates: the nominal
-bends of the lengths go in, the correction to the bends comes out (what joint encoders measure), and the closed-form
-kinematics makes the pose of them. Sag, strand stretch and friction bend the joints; the links stay rigid, so nothing
-is lost, and the network learns eight small smooth numbers instead of the kinematics of the whole arm. A third form
+The paper's form maps scaled lengths to the pose. The corrected form works in the robot's own configuration: the nominal
+one of the lengths goes in, the correction to it comes out (what joint encoders measure), and the closed-form kinematics
+makes the pose of them. Sag, strand stretch and friction bend the joints; the links stay rigid, so nothing is lost, and
+the network learns eight small smooth numbers of the quaternion-joint arm instead of its whole kinematics. A third form
 lies between the two, to tell what comes in from what goes out: scaled lengths go in, the correction comes out.
 """
 
@@ -21,8 +21,9 @@ from qjrl.config import ConfigError, Range, as_mapping, build, configuration
 from qjrl.learning.fitting import FitConfig, FittedNetwork, predict
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
 from qjrl.learning.parameters import load_parameters, save_parameters
+from qjrl.robot.kinds import kind_of, num_coordinates
 from qjrl.robot.loading import robot_hash
-from qjrl.robot.verbs import Robot, bends_from_cables, cable_strokes, forward_kinematics
+from qjrl.robot.verbs import Robot, cable_strokes, configuration_from_cables, forward_kinematics
 
 PoseFunction = Callable[[jax.Array], jax.Array]
 
@@ -32,7 +33,7 @@ class ForwardModelConfig:
     """Group `forward_model`."""
 
     form: Literal["paper", "corrected_from_lengths", "corrected"] = "corrected"
-    """"paper": scaled lengths -> pose; "corrected": nominal bends -> correction of the bends, then the kinematics;
+    """"paper": scaled lengths -> pose; "corrected": nominal configuration -> its correction, then the kinematics;
     "corrected_from_lengths": scaled lengths -> the same correction."""
     network: NetworkConfig = NetworkConfig()
     """Size of the network."""
@@ -58,21 +59,21 @@ def model_inputs(robot: Robot, form: str, lengths: jax.Array) -> jax.Array:
     """What enters the network, scaled to [-1, 1], from cable lengths (num_cables,) [m]."""
     if form in ("paper", "corrected_from_lengths"):
         return lengths / cable_strokes(robot)
-    return bends_from_cables(robot, lengths).reshape(-1) / jnp.sin(robot.bend_limit / 2.0)
+    return (configuration_from_cables(robot, lengths) / kind_of(robot).largest(robot)).reshape(-1)
 
 
 def model_pose(robot: Robot, form: str, lengths: jax.Array, answer: jax.Array) -> jax.Array:
     """Pose (9,) from the network's answer at cable lengths (num_cables,) [m]."""
     if form == "paper":
         return answer
-    bends = bends_from_cables(robot, lengths)
-    return forward_kinematics(robot, bends + answer.reshape(bends.shape))
+    nominal = configuration_from_cables(robot, lengths)
+    return forward_kinematics(robot, nominal + answer.reshape(nominal.shape))
 
 
 def pose_function(robot: Robot, model: ForwardModel | None) -> PoseFunction:
     """The plain function lengths (num_cables,) [m] -> pose (9,); without a model, the nominal closed form."""
     if model is None:
-        return lambda lengths: forward_kinematics(robot, bends_from_cables(robot, lengths))
+        return lambda lengths: forward_kinematics(robot, configuration_from_cables(robot, lengths))
     form, network = model.config.form, make_network(robot, model.config)
 
     def pose(lengths: jax.Array) -> jax.Array:
@@ -84,7 +85,7 @@ def pose_function(robot: Robot, model: ForwardModel | None) -> PoseFunction:
 
 def make_network(robot: Robot, config: ForwardModelConfig) -> FourierResidualNetwork:
     """The network of a configuration, untrained."""
-    return FourierResidualNetwork(config.network, 9 if config.form == "paper" else robot.num_cables)
+    return FourierResidualNetwork(config.network, 9 if config.form == "paper" else num_coordinates(robot))
 
 
 def save_forward_model(path: Path, robot: Robot, model: ForwardModel) -> None:

@@ -1,31 +1,16 @@
-"""What each kind of robot offers: its own functions behind the common verbs."""
+"""The kinds of robots: one record each. A kind is a folder; here it is entered by the name that its YAML gives."""
 
-from collections.abc import Callable
+import math
 from typing import Any
+
+import jax
 
 from qjrl.config import ConfigError
 from qjrl.field_words import show
-from qjrl.robot.quaternion_arm import cables, coordinates, kinematics, mjcf, statics
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.kind import Kind, Robot
+from qjrl.robot.quaternion_arm.kind import QUATERNION_ARM
 
-Robot = QuaternionArm  # a union once there is a second kind
-
-VERBS: dict[str, dict[str, Callable[..., Any]]] = {
-    "quaternion_arm": {
-        "forward_kinematics": kinematics.forward_kinematics,
-        "cable_lengths": cables.cable_lengths,
-        "bends_from_cables": cables.bends_from_cables,
-        "cable_strokes": cables.cable_strokes,
-        "strand_lengths": cables.strand_lengths,
-        "strand_commands": cables.strand_commands,
-        "equilibrium": statics.equilibrium,
-        "strand_tension": statics.strand_tension,
-        "is_at_strength": statics.is_at_strength,
-        "joint_positions": coordinates.joint_positions,
-        "configuration_from_joint_positions": coordinates.bends_from_joint_positions,
-        "build_mjcf": mjcf.build_mjcf,
-    },
-}
+KINDS: dict[str, Kind] = {"quaternion_arm": QUATERNION_ARM}
 
 
 def require_robot(robot: Any) -> None:
@@ -34,14 +19,33 @@ def require_robot(robot: Any) -> None:
         raise ConfigError(f"robot: got {show(robot)}, allowed: what load_robot returns")
 
 
-def verb(robot: Robot, name: str) -> Callable[..., Any]:
-    """The function of a robot's kind.
+def kind_of(robot: Robot) -> Kind:
+    """The record of a robot's kind.
 
     Raises:
         ConfigError: it is no robot.
-        ValueError: the kind does not offer it.
     """
     require_robot(robot)
-    if name not in VERBS[robot.kind]:
-        raise ValueError(f"robot kind {robot.kind}: offers no {name}, it offers {', '.join(VERBS[robot.kind])}")
-    return VERBS[robot.kind][name]
+    return KINDS[robot.kind]
+
+
+def verb(robot: Robot, name: str) -> Any:
+    """The function of a robot's kind.
+
+    Raises:
+        ConfigError: it is no robot, or its kind does not offer the function.
+    """
+    function = getattr(kind := kind_of(robot), name)
+    if function is None:
+        raise ConfigError(f"robot kind {robot.kind}: offers no {name}, it offers {', '.join(kind.offers())}")
+    return function
+
+
+def configuration_shape(robot: Robot) -> tuple[int, ...]:
+    """Shape of the robot's configuration."""
+    return jax.eval_shape(kind_of(robot).home, robot).shape
+
+
+def num_coordinates(robot: Robot) -> int:
+    """How many numbers a configuration of the robot has."""
+    return math.prod(configuration_shape(robot))

@@ -7,13 +7,11 @@ from typing import Any
 from qjrl.artifacts import hash_of
 from qjrl.config import ConfigError, as_mapping, build, conf_folder, in_file, is_yaml, known_names, read_literal_yaml
 from qjrl.field_words import show
-from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
-
-# kind -> (what its YAML may hold, the pytree made of it)
-KINDS = {"quaternion_arm": (QuaternionArmConfig, arm_from_config)}
+from qjrl.robot.kind import Robot
+from qjrl.robot.kinds import KINDS
 
 
-def load_robot(name_or_path: str | Path) -> QuaternionArm:
+def load_robot(name_or_path: str | Path) -> Robot:
     """A robot by shipped name ("qj_2222") or by the path of a YAML file.
 
     Raises:
@@ -37,7 +35,7 @@ def load_robot(name_or_path: str | Path) -> QuaternionArm:
         raise in_file(name, error) from error
 
 
-def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
+def robot_from_mapping(mapping: Mapping[str, Any]) -> Robot:
     """A robot from the content of its YAML.
 
     Raises:
@@ -54,15 +52,14 @@ def robot_from_mapping(mapping: Mapping[str, Any]) -> QuaternionArm:
     kind = mapping["kind"]
     if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(f"robot.kind: got {kind!r}, allowed: {', '.join(KINDS)}")
-    config_type, make = KINDS[kind]
     try:
-        return make(build(config_type, mapping, "robot"))
+        return KINDS[kind].make(build(KINDS[kind].description, mapping, "robot"))
     except ConfigError:
         raise
     except ValueError as error:
         raise ConfigError(f"robot.{error}") from error
 
 
-def robot_hash(robot: QuaternionArm) -> str:
+def robot_hash(robot: Robot) -> str:
     """Hash of all that describes a robot; data carry it, so that another robot's are refused."""
     return hash_of(as_mapping(robot.config))

@@ -18,9 +18,10 @@ from qjrl.robot.forward_model import (
     model_pose,
     pose_function,
 )
+from qjrl.robot.kinds import kind_of
 from qjrl.robot.model_uncertainty import calibrate
 from qjrl.robot.settled_rows import settled_rows
-from qjrl.robot.verbs import Robot, bends_from_cables
+from qjrl.robot.verbs import Robot, configuration_from_cables
 
 Rows = Mapping[str, np.ndarray]
 
@@ -33,7 +34,7 @@ def fit_forward_model(
     Returns:
         The best model, and its held-out errors beside the nominal closed form's on the same rows.
     """
-    train, held_out = settled_split(data, config.held_out, seed)
+    train, held_out = settled_split(robot, data, config.held_out, seed)
     model, result = fit_rows(robot, config, (train, held_out), seed, directory)
     metrics = {
         "form": config.form,
@@ -78,23 +79,25 @@ def fit_rows(
     return ForwardModel(result.fitted, config), result
 
 
-def settled_split(data: Rows, held_out: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def settled_split(
+    robot: Robot, data: Rows, held_out: float, seed: int
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
     """The settled rows of a data set, to fit and to hold out.
 
     Raises:
         ArtifactError: as `settled_rows`.
     """
-    settled = settled_rows(data)
+    settled = settled_rows(robot, data)
     fitted_rows, held_out_rows = split_rows(len(settled["seed"]), held_out, seed)
     return _take(settled, fitted_rows), _take(settled, held_out_rows)
 
 
 def model_targets(robot: Robot, form: str, data: Rows) -> jax.Array:
-    """What the network shall answer for rows of a data set: poses, or corrections of the bends."""
+    """What the network shall answer for rows of a data set: poses, or corrections of the configuration."""
     if form == "paper":
         return jnp.asarray(data["pose"])
-    nominal = jax.vmap(lambda lengths: bends_from_cables(robot, lengths))(jnp.asarray(data["cable_lengths"]))
-    return (jnp.asarray(data["bends"]) - nominal).reshape(len(nominal), -1)
+    nominal = jax.vmap(lambda lengths: configuration_from_cables(robot, lengths))(jnp.asarray(data["cable_lengths"]))
+    return (jnp.asarray(data[kind_of(robot).configuration_name]) - nominal).reshape(len(nominal), -1)
 
 
 def evaluation(robot: Robot, form: str, data: Rows) -> Callable[[Any], dict[str, float]]:

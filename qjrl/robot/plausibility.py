@@ -14,9 +14,9 @@ import numpy as np
 from jax.core import Tracer
 
 from qjrl.config import ConfigError
-from qjrl.robot.kinds import Robot, require_robot, verb
-from qjrl.robot.quaternion_arm.joint import height_of_cosine
-from qjrl.robot.unit_hints import bend_hint, length_hint
+from qjrl.robot.kind import Robot
+from qjrl.robot.kinds import configuration_shape, kind_of, require_robot, verb
+from qjrl.robot.unit_hints import length_hint
 
 # Of a path's positions: rolling joints carry the tip a little further than the straight arm's length.
 REACH_MARGIN = 1.05
@@ -67,23 +67,16 @@ def one_sample(value: Any, shape: tuple[int, ...], where: str) -> jax.Array:
 
 
 def one_configuration(robot: Robot, value: Any) -> jax.Array:
-    """One configuration, bends (num_segments, 2), each shorter than 1.
+    """One configuration of the robot's kind, such as bends (num_segments, 2).
 
     Raises:
-        ConfigError: see `one_sample`; or a bend of 180 degrees and more.
+        ConfigError: see `one_sample`; or what no robot of the kind can have, such as a bend of 180 degrees and more.
     """
-    require_robot(robot)
-    bends = one_sample(value, (robot.num_segments, 2), "configuration")
-    if _is_traced(bends):
-        return bends
-    sizes = np.linalg.norm(np.asarray(bends), axis=1)
-    if sizes.max() >= 1.0:
-        segment = int(np.argmax(sizes))
-        raise ConfigError(
-            f"configuration: segment {segment} (the first is 0): got a bend of length {sizes[segment]:.4g}, allowed: below 1, "
-            f"sin(theta/2) (cos phi, sin phi){bend_hint(float(sizes[segment]))}"
-        )
-    return bends
+    kind = kind_of(robot)
+    configuration = one_sample(value, configuration_shape(robot), "configuration")
+    if kind.check is not None and not _is_traced(configuration):
+        kind.check(robot, np.asarray(configuration))
+    return configuration
 
 
 def one_of_lengths(robot: Robot, value: Any) -> jax.Array:
@@ -128,13 +121,6 @@ def _is_traced(*values: Any) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
 
 
-def straight_length(robot: Robot) -> float:
-    """From the base to the tip of the straight arm [m]."""
-    joint = robot.config.joint
-    height = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
-    return robot.num_joints * (float(height) + robot.config.link_length)
-
-
 def check_cable_lengths(
     robot: Robot, lengths: np.ndarray, where: str = "cable_lengths", strokes: float = LARGEST_COMMAND
 ) -> None:
@@ -152,9 +138,9 @@ def check_cable_lengths(
     if share.size == 0 or share.max() <= 1.0:
         return
     row, cable = np.unravel_index(int(np.argmax(share)), share.shape)
-    name = [number for pair in robot.config.cables.names for number in pair][int(cable)]
+    name = verb(robot, "cable_names")(robot)[int(cable)]
     raise ConfigError(
-        f"{where}: row {row} (the first is 0), cable_{name}: got {lengths[row, cable]:.4g} m, allowed: up to "
+        f"{where}: row {row} (the first is 0), {name}: got {lengths[row, cable]:.4g} m, allowed: up to "
         f"{allowed[cable]:.3g} m, {strokes:g} times the cable's stroke{length_hint(float(share.max()))}"
     )
 
@@ -170,7 +156,7 @@ def check_positions(
     Raises:
         ConfigError: one line with the row that is farthest.
     """
-    distance, length = np.linalg.norm(positions, axis=1), straight_length(robot)
+    distance, length = np.linalg.norm(positions, axis=1), verb(robot, "reach")(robot)
     if distance.size == 0 or distance.max() <= lengths * length:
         return
     row = int(np.argmax(distance))

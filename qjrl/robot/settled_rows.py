@@ -5,13 +5,15 @@ from collections.abc import Mapping
 import numpy as np
 
 from qjrl.artifacts import ArtifactError
+from qjrl.robot.kinds import configuration_shape, kind_of
+from qjrl.robot.verbs import Robot
 
-# Columns that models are fitted on and evaluated by -> their axes.
-_NEEDED = {"cable_lengths": 2, "pose": 2, "bends": 3, "strand_tension": 2, "converged": 1, "seed": 1}
+# Columns that models are fitted on and evaluated by -> their axes; the configuration comes with the kind of robot.
+_NEEDED = {"cable_lengths": 2, "pose": 2, "strand_tension": 2, "converged": 1, "seed": 1}
 
 
-def settled_rows(data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np.ndarray]:
-    """The rows of a data set at which the arm came to rest, all columns.
+def settled_rows(robot: Robot, data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np.ndarray]:
+    """The rows of a robot's data set at which it came to rest, all columns.
 
     Args:
         data: columns (n, ...) as stage `sample` writes them.
@@ -20,14 +22,15 @@ def settled_rows(data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np
         ArtifactError: one line; columns are missing or have other shapes, fewer than `least` rows rest, or a row that counts
             as settled holds a value that is not finite.
     """
-    converged = _checked(data)
+    needed = _NEEDED | {kind_of(robot).configuration_name: 1 + len(configuration_shape(robot))}
+    converged = _checked(data, needed)
     rows = np.flatnonzero(converged)
     if len(rows) < least:
         raise ArtifactError(
             f"sample: {len(rows)} of the {len(converged)} rows of its data set came to rest, allowed: at least {least}; look "
             "at the arm with stages=[describe], then change it or group simulation, or raise sample.num_samples"
         )
-    for name in _NEEDED:
+    for name in needed:
         values = data[name][rows]
         is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
         if not is_finite.all():
@@ -39,15 +42,15 @@ def settled_rows(data: Mapping[str, np.ndarray], least: int = 2) -> dict[str, np
     return {name: column[rows] for name, column in data.items()}
 
 
-def _checked(data: Mapping[str, np.ndarray]) -> np.ndarray:
+def _checked(data: Mapping[str, np.ndarray], needed: Mapping[str, int]) -> np.ndarray:
     """`converged` (n,), after all columns have been found to be what they should."""
-    missing = [name for name in _NEEDED if name not in data]
+    missing = [name for name in needed if name not in data]
     if missing:
         raise ArtifactError(f"sample: its data set has no {missing[0]}; run stages=[sample]")
     count = len(data["converged"])
-    for name in _NEEDED:
+    for name in needed:
         shape, kind = data[name].shape, data[name].dtype
-        if len(shape) != _NEEDED[name] or shape[0] != count or (name == "pose" and shape[1] != 9):
+        if len(shape) != needed[name] or shape[0] != count or (name == "pose" and shape[1] != 9):
             raise ArtifactError(f"sample: {name} of its data set has the shape {shape}, beside {count} rows")
         if kind.kind not in "biuf":
             raise ArtifactError(f"sample: {name} of its data set holds {kind} values, allowed: real numbers")

@@ -10,12 +10,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from qjrl.robot.kinds import Robot as Robot
+from qjrl.robot.equilibrium import Equilibrium
+from qjrl.robot.kind import Robot as Robot
+from qjrl.robot.kinds import kind_of
 from qjrl.robot.kinds import verb as _verb
 from qjrl.robot.plausibility import check_angles, one_configuration, one_of_lengths, one_of_positions, one_sample
 from qjrl.robot.quaternion_arm import joint, statics
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
-from qjrl.robot.quaternion_arm.statics import Equilibrium
+from qjrl.robot.solver_options import SolverOptions
 
 
 def forward_kinematics(robot: Robot, configuration: jax.Array) -> jax.Array:
@@ -29,8 +30,32 @@ def cable_lengths(robot: Robot, configuration: jax.Array) -> jax.Array:
 
 
 def bends_from_cables(robot: Robot, lengths: jax.Array) -> jax.Array:
+    """Bends whose cable lengths (num_cables,) [m] are given: `configuration_from_cables` of the quaternion-joint arm."""
+    return configuration_from_cables(robot, lengths)
+
+
+def configuration_from_cables(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Configuration whose cable lengths (num_cables,) [m] are given; closed form."""
-    return _verb(robot, "bends_from_cables")(robot, one_of_lengths(robot, lengths))
+    return _verb(robot, "configuration_from_cables")(robot, one_of_lengths(robot, lengths))
+
+
+def home(robot: Robot) -> jax.Array:
+    """Configuration at which all cable lengths are zero."""
+    return _verb(robot, "home")(robot)
+
+
+def within_limits(robot: Robot, configuration: jax.Array) -> jax.Array:
+    """The configuration, brought back within the robot's limits."""
+    kind = kind_of(robot)
+    if kind.within_limits is not None:
+        return kind.within_limits(robot, configuration)
+    coordinates = kind.coordinates_of(robot, configuration)
+    return kind.configuration_of(robot, kind.limits(robot).within(coordinates))
+
+
+def is_within_limits(robot: Robot, configuration: jax.Array, tolerance: float = 1e-9) -> jax.Array:
+    """Whether bringing a configuration back within the limits moves none of its numbers by more than `tolerance`."""
+    return jnp.max(jnp.abs(within_limits(robot, configuration) - configuration)) <= tolerance
 
 
 def cable_strokes(robot: Robot) -> jax.Array:

@@ -7,7 +7,7 @@ import numpy as np
 
 from qjrl.robot import build_mjcf, strand_commands
 from qjrl.robot.quaternion_arm.limited_strands import held_strand_lengths, limit_strands
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.solver_options import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.row_by_row import row_by_row
 

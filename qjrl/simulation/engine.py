@@ -6,11 +6,9 @@ Engines are pytrees, arguments of compiled programs: numbers of the robot are le
 from typing import Annotated, Any, Literal, Protocol, runtime_checkable
 
 import jax
-import jax.numpy as jnp
-from flax import struct
 
 from qjrl.config import Range, configuration
-from qjrl.simulation.stepping import LARGEST_VALUE, PhysicalParameters, PlantState
+from qjrl.robot.plant import PhysicalParameters, PlantState
 
 EngineKind = Literal["minimal", "mjx", "mjx-warp"]
 """The arm's own equations in minimal coordinates; MJX in JAX's operations or in the kernels of NVIDIA's Warp.
@@ -50,24 +48,3 @@ class Engine(Protocol):
     def read(self, state: Any) -> PlantState:
         """What the arms show."""
         ...
-
-
-@struct.dataclass
-class Guarded:
-    """The moving part of an engine's state, and which arms have left the finite and the plausible."""
-
-    moving: Any
-    has_failed: Any
-    """(n,) since the arm was put at home."""
-
-
-def guarded(before: Guarded, after: Any, watched: Any) -> Guarded:
-    """`after` where it is sound; an arm whose `watched` values (n, ...), before or after, are not stays where it was."""
-    leaves = [jnp.abs(leaf.reshape(len(leaf), -1)) for leaf in jax.tree.leaves(watched)]
-    is_sound = jnp.all(jnp.concatenate(leaves, axis=1) < LARGEST_VALUE, axis=1)  # False for NaN
-    has_failed = before.has_failed | ~is_sound
-
-    def kept(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(has_failed.reshape(-1, *[1] * (new.ndim - 1)), old, new)
-
-    return Guarded(jax.tree.map(kept, after, before.moving), has_failed)

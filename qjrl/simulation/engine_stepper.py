@@ -10,8 +10,8 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from qjrl.progress import compiling
+from qjrl.robot.plant import PhysicalParameters, PlantState
 from qjrl.simulation.engine import Engine
-from qjrl.simulation.stepping import PhysicalParameters, PlantState
 from qjrl.xla_options import jit_of_chains
 
 

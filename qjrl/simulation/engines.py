@@ -5,10 +5,10 @@ from typing import Any
 import jax
 
 from qjrl.robot import in_precision
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import Engine, EngineConfig
 from qjrl.simulation.engine_stepper import EngineStepper
-from qjrl.simulation.minimal_engine import MinimalEngine
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.stepping import MujocoStepper, Stepper
 
@@ -18,7 +18,7 @@ def make_engine(robot: Robot, config: EngineConfig) -> Engine:
     with jax.enable_x64(False):
         single: Any = in_precision(robot, "float32")
         if config.kind == "minimal":
-            return MinimalEngine(single, config.timestep)
+            return verb(single, "minimal_engine")(single, config.timestep)
         from qjrl.simulation.mjx_engine import mjx_engine
 
         return mjx_engine(single, config.timestep, config.kind)

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.robot import build_mjcf, strand_commands
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.plant import Guarded, PhysicalParameters, PlantState, guarded, tilted
+from qjrl.robot.solver_options import SolverOptions
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.engine import Guarded, guarded
 from qjrl.simulation.mjx_model import (
     ArmState,
     Rows,
@@ -23,7 +23,6 @@ from qjrl.simulation.mjx_model import (
 )
 from qjrl.simulation.payload import tip_body
 from qjrl.simulation.settle_problem import Backend
-from qjrl.simulation.stepping import PhysicalParameters, PlantState, tilted
 
 # MJX holds a strand whose friction row has the bound 0 still instead of leaving it free; this much moves nothing [N].
 LEAST_FRICTION = 1e-4

@@ -11,6 +11,7 @@ from flax import struct
 
 from qjrl.progress import compiling
 from qjrl.robot import joint_positions
+from qjrl.robot.verbs import home
 from qjrl.simulation.cable_models import CableModel, Play, Recording
 from qjrl.simulation.mjx_model import ArmState, MjxArm, Rows, balanced, compile_batch, load_arm, mjx, single_precision
 
@@ -47,10 +48,10 @@ def record_mjx(play: Play, is_balanced: np.ndarray) -> Recording:
 
 
 def _at_home(play: Play, arm: MjxArm) -> ArmState:
-    home = np.asarray(joint_positions(play.robot, jnp.zeros((play.robot.num_segments, 2))), np.float32)
+    start = np.asarray(joint_positions(play.robot, home(play.robot)), np.float32)
     still = np.zeros((play.num_sims, arm.host.nv), np.float32)
     commands = np.zeros((play.num_sims, arm.host.nu), np.float32)
-    return ArmState(np.tile(home, (play.num_sims, 1)), still, commands, still)
+    return ArmState(np.tile(start, (play.num_sims, 1)), still, commands, still)
 
 
 def _compile(play: Play, arm: MjxArm, batch: _Simulation, state: ArmState, target: np.ndarray) -> Callable:

@@ -1,12 +1,12 @@
 """Joint velocities at every time step of commands played in C MuJoCo."""
 
-import jax.numpy as jnp
 import mujoco
 import numpy as np
 from mujoco import batch
 
 from qjrl.cores import usable_cores
 from qjrl.robot import joint_positions
+from qjrl.robot.verbs import home
 from qjrl.simulation.cable_models import Play, Recording
 
 
@@ -38,8 +38,7 @@ def record_mujoco(play: Play, tip_force: np.ndarray | None = None, num_threads: 
 
 
 def _begin(play: Play, model: mujoco.MjModel, sims: batch.Batch) -> None:
-    home = joint_positions(play.robot, jnp.zeros((play.robot.num_segments, 2)))
-    sims.bind("qpos")[:] = np.asarray(home)
+    sims.bind("qpos")[:] = np.asarray(joint_positions(play.robot, home(play.robot)))
     sims.expand("opt.tolerance")[:] = play.tolerance
     if play.cables == "limits":
         strands = slice(0, play.robot.num_strands)

@@ -6,7 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from qjrl.robot.quaternion_arm.mjcf import PAYLOAD_RADIUS
+from qjrl.robot.plant import PAYLOAD_RADIUS
 from qjrl.robot.verbs import Robot
 
 
@@ -31,7 +31,7 @@ def tip_body(robot: Robot, model: mujoco.MjModel, payload: Any) -> TipBody:
     site = model.site("tip").id
     body = model.site_bodyid[site]
     mass, centre = model.body_mass[body], model.body_ipos[body]
-    added = payload - robot.config.mechanics.payload
+    added = payload - robot.payload
     between = model.site_pos[site] - centre
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])

@@ -1,4 +1,4 @@
-"""A data set of settled poses: low-discrepancy bends, their cable lengths, and where the physics rests."""
+"""A data set of settled poses: low-discrepancy configurations, their cable lengths, and where the physics rests."""
 
 import os
 import shutil
@@ -13,7 +13,7 @@ from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest,
 from qjrl.config import ConfigError, NotIdentity, Range, configuration
 from qjrl.records import check_record
 from qjrl.robot import cable_lengths, robot_hash
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.kinds import kind_of, num_coordinates
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.row_by_row import row_by_row
 from qjrl.simulation.settle_problem import SettleConfig
@@ -36,7 +36,7 @@ class SampleConfig:
     num_shards: Annotated[int, Range(1, 10_000)] = 4
     """Processes or machines that share the rows, where `shard` says which part is whose."""
     home_share: Annotated[float, Range(0.0, 1.0)] = 0.25
-    """Share of the rows whose bends are all scaled down by a common number, uniform in [0, 1].
+    """Share of the rows whose configurations are all scaled towards home by a common number, uniform in [0, 1].
 
     Without them hardly a row of eight dimensions lies near home, and there the model is worse than the closed form.
     """
@@ -122,28 +122,30 @@ def sample_rows(
 ) -> dict[str, np.ndarray]:
     """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
     lengths = sample_lengths(robot, seed, start, count, home_share)
-    return dataset_rows(lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
+    return dataset_rows(robot, lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
 
 
 def sample_lengths(robot: Robot, seed: int, start: int, count: int, home_share: float) -> np.ndarray:
-    """Commands (count, cables) [m] of rows start .. start + count: bends even over the segments' discs, a share scaled."""
-    numbers = _sobol(2 * robot.num_segments + 1, seed, start, count)
+    """Commands (count, cables) [m] of rows start .. start + count: configurations even over the limits, a share scaled."""
+    numbers = _sobol(num_coordinates(robot) + 1, seed, start, count)
     is_scaled = numbers[:, -1] < home_share
     scale = np.where(is_scaled, numbers[:, -1] / (home_share or 1.0), 1.0)
     return np.asarray(row_by_row(_lengths, robot, np.column_stack([scale, numbers[:, :-1]])), np.float64)
 
 
 def _lengths(robot: Robot, numbers: jax.Array) -> jax.Array:
-    """Cable lengths of one row, from the scale of its bends and their numbers in the unit cube."""
-    return cable_lengths(robot, numbers[0] * bends_from_unit_cube(robot, numbers[1:]))
+    """Cable lengths of one row, from its scale and its configuration's numbers in the unit cube."""
+    kind = kind_of(robot)
+    home = kind.home(robot)
+    return cable_lengths(robot, home + numbers[0] * (kind.from_unit_cube(robot, numbers[1:]) - home))
 
 
-def dataset_rows(lengths: np.ndarray, result: SettleResult, seed: int) -> dict[str, np.ndarray]:
+def dataset_rows(robot: Robot, lengths: np.ndarray, result: SettleResult, seed: int) -> dict[str, np.ndarray]:
     """The columns of a data set from commands (n, cables) [m] and what they settled at."""
     return {
         "cable_lengths": lengths,
         "pose": result.pose,
-        "bends": result.bends,
+        kind_of(robot).configuration_name: result.configuration,
         "strand_tension": result.strand_tension,
         "joint_positions": result.joint_positions,
         "equality_error": result.equality_error,
@@ -174,7 +176,7 @@ def _sobol(dimensions: int, seed: int, start: int, count: int) -> np.ndarray:
 
 def _check_room(robot: Robot, sample: SampleConfig, missing: int, directory: Path) -> None:
     """Refuse what the rows still to come cannot be written to, and what no stage could load."""
-    numbers_per_row = robot.num_cables + 9 + 2 * robot.num_segments + robot.num_strands + 5 * robot.num_joints + 4
+    numbers_per_row = robot.num_cables + 9 + num_coordinates(robot) + robot.num_strands + robot.num_positions + 4
     existing = next(path for path in (directory, *directory.absolute().parents) if path.exists())
     on_disk = num_rows(sample) - missing + shutil.disk_usage(existing).free // (8 * numbers_per_row)
     if num_rows(sample) > on_disk:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from qjrl.config import NotIdentity, Range, configuration
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.solver_options import SolverOptions
 
 Backend = Literal["mujoco", "mjx", "mjx-warp"]
 """C MuJoCo on the CPU's cores; MJX, float32, for accelerators, in JAX's operations or in the kernels of NVIDIA's Warp."""

@@ -10,10 +10,10 @@ from flax import struct
 
 from qjrl.config import ConfigError
 from qjrl.field_words import show
-from qjrl.robot import bends_from_cables, configuration_from_joint_positions, joint_positions, strand_commands
-from qjrl.robot.kinds import require_robot
+from qjrl.robot import configuration_from_joint_positions, joint_positions, strand_commands
+from qjrl.robot.kinds import require_robot, verb
 from qjrl.robot.plausibility import check_cable_lengths, real_numbers
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, configuration_from_cables, within_limits
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.row_by_row import row_by_row
 from qjrl.simulation.settle_problem import Backend, RawSettled, SettleConfig, SettleProblem, SettleStatus
@@ -28,10 +28,12 @@ SLACK_TENSION = 0.01
 class SettleResult:
     """What the physics rests at, one row a command; float64 on the host."""
 
+    robot: Robot = struct.field(pytree_node=False)
+    """Of whose kind the configuration and the strands are."""
     pose: np.ndarray
     """(n, 9) tip pose [m, -]."""
-    bends: np.ndarray
-    """(n, segments, 2) mean bend of each segment's joints."""
+    configuration: np.ndarray
+    """(n, ...) nearest configuration of the robot's kind, such as the mean bend of each segment's joints."""
     strand_tension: np.ndarray
     """(n, strands) [N], 0 where slack."""
     joint_positions: np.ndarray
@@ -54,14 +56,15 @@ class SettleResult:
 
     @property
     def motor_force(self) -> np.ndarray:
-        """(n, cables) force that each motor holds [N]: the difference of its loop's two strands, to compare with the bound
-        `motors.force`. The physics does not clip it: a pose that needs more is one that the real arm does not reach."""
-        return motor_force(self.strand_tension)
+        """(n, cables) force that each motor holds [N]: where two strands pull against each other, their difference, to
+        compare with its bound. The physics does not clip it: a pose that needs more is one that the real robot does not
+        reach."""
+        return verb(self.robot, "motor_force")(self.strand_tension)
 
-
-def motor_force(strand_tension: np.ndarray) -> np.ndarray:
-    """Difference (n, cables) [N] of each loop's two strands, from the tensions of all strands (n, strands) [N]."""
-    return strand_tension[:, 0::2] - strand_tension[:, 1::2]
+    @property
+    def bends(self) -> np.ndarray:
+        """(n, segments, 2) of the quaternion-joint arm, whose configuration they are."""
+        return self.configuration
 
 
 def settle(
@@ -131,14 +134,8 @@ def nominal_problem(robot: Robot, lengths: np.ndarray) -> SettleProblem:
 
 
 def _start_and_command(robot: Robot, lengths: jax.Array) -> tuple[jax.Array, jax.Array]:
-    bends = _within_reach(robot, bends_from_cables(robot, lengths))
-    return joint_positions(robot, bends), strand_commands(robot, lengths)
-
-
-def _within_reach(robot: Robot, bends: jax.Array) -> jax.Array:
-    """Bends scaled to the bend limit: commands beyond the reach start at a pose within it."""
-    norm = jax.numpy.sqrt(jax.numpy.sum(bends**2, axis=-1, keepdims=True) + 1e-30)
-    return bends * jax.numpy.minimum(1.0, jax.numpy.sin(robot.bend_limit / 2.0) / norm)
+    start = within_limits(robot, configuration_from_cables(robot, lengths))  # commands may be beyond the reach
+    return joint_positions(robot, start), strand_commands(robot, lengths)
 
 
 def _load_backend(name: Backend):
@@ -151,10 +148,11 @@ def _load_backend(name: Backend):
 
 
 def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
-    bends, manifold = row_by_row(_bends_and_manifold, robot, raw.joint_positions)
+    configuration, manifold = row_by_row(_configuration_and_manifold, robot, raw.joint_positions)
     return SettleResult(
+        robot=robot,
         pose=raw.pose,
-        bends=bends,
+        configuration=configuration,
         strand_tension=raw.strand_tension,
         joint_positions=raw.joint_positions,
         equality_error=np.abs(manifold - raw.joint_positions).max(axis=1, initial=0.0),
@@ -165,6 +163,6 @@ def _describe(robot: Robot, raw: RawSettled) -> SettleResult:
     )
 
 
-def _bends_and_manifold(robot: Robot, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
-    bends = configuration_from_joint_positions(robot, positions)
-    return bends, joint_positions(robot, bends)
+def _configuration_and_manifold(robot: Robot, positions: jax.Array) -> tuple[jax.Array, jax.Array]:
+    configuration = configuration_from_joint_positions(robot, positions)
+    return configuration, joint_positions(robot, configuration)

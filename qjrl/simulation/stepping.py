@@ -1,91 +1,18 @@
 """Step many arms in time, each with its own physical parameters: batches of C MuJoCo in threads."""
 
-import dataclasses
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-import jax
-import jax.numpy as jnp
 import mujoco
 import numpy as np
-from flax import struct
 from mujoco import batch
 
 from qjrl.cores import usable_cores
 from qjrl.robot import build_mjcf
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.plant import LARGEST_VALUE, PhysicalParameters, PlantState, tilted
+from qjrl.robot.solver_options import SolverOptions
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.payload import tip_body
-
-# Beyond it a simulation counts as diverged, in every engine [rad, rad/s].
-LARGEST_VALUE = 1e4
-
-
-@struct.dataclass
-class PlantState:
-    """The physics of all simulations after a step, one row a simulation; of C MuJoCo live views, copy what must last."""
-
-    joint_positions: Any
-    """(n, nq) [rad, m]."""
-    joint_velocities: Any
-    """(n, nv) [rad/s, m/s]."""
-    strand_lengths: Any
-    """(n, strands) [m]."""
-    strand_velocities: Any
-    """(n, strands) [m/s]."""
-    strand_tension: Any
-    """(n, strands) [N]."""
-    pose: Any
-    """(n, 9) [m, -]."""
-    is_sound: Any
-    """(n,) False where the simulation diverged since its last reset."""
-
-
-@struct.dataclass
-class PhysicalParameters:
-    """What may differ between simulations, one value a simulation; ones, zeros and the robot's gravity are nominal."""
-
-    strand_damping_scale: Any
-    """(n,) times the robot's."""
-    strand_friction: Any
-    """(n,) dry friction along every strand [N]."""
-    armature_scale: Any
-    """(n,) times the robot's."""
-    gain_scale: Any
-    """(n,) times the strand servo's stiffness."""
-    tilt: Any
-    """(n, 2) rotation of gravity about the base's x and y [rad]."""
-    strand_stiffness_scale: Any
-    """(n, strands) times the stiffness of each strand, on top of `gain_scale`."""
-    payload: Any
-    """(n,) mass at the tip [kg], in place of the robot's."""
-
-    @classmethod
-    def nominal(cls, robot: Robot, count: int) -> "PhysicalParameters":
-        """The robot as described, `count` times."""
-        return cls(
-            strand_damping_scale=np.ones(count),
-            strand_friction=np.full(count, robot.config.strands.friction),
-            armature_scale=np.ones(count),
-            gain_scale=np.ones(count),
-            tilt=np.zeros((count, 2)),
-            strand_stiffness_scale=np.ones((count, robot.num_strands)),
-            payload=np.full(count, robot.config.mechanics.payload),
-        )
-
-    @property
-    def strand_gain(self) -> Any:
-        """(n, strands) times the stiffness as described, of both scales together."""
-        return self.gain_scale[:, None] * self.strand_stiffness_scale
-
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Field name -> copy of its values."""
-        return {field.name: getattr(self, field.name).copy() for field in dataclasses.fields(self)}
-
-    def assign(self, ids: np.ndarray, arrays: Mapping[str, np.ndarray]) -> None:
-        """Write rows `ids` of every field from `arrays`, of which other names are left alone."""
-        for field in dataclasses.fields(self):
-            getattr(self, field.name)[ids] = arrays[field.name]
 
 
 @runtime_checkable
@@ -201,17 +128,9 @@ class MujocoStepper:
     def _set_payload(self, ids: np.ndarray) -> None:
         """The fields of the last body, which belong to the simulations only once one has a payload of its own."""
         payload = self._parameters.payload[ids]
-        self._is_loaded |= bool(np.any(payload != self._robot.config.mechanics.payload))
+        self._is_loaded |= bool(np.any(payload != self._robot.payload))
         if self._is_loaded:
             tip, body = tip_body(self._robot, self.model, payload), self.model.site_bodyid[self.model.site("tip").id]
             self._batch.expand("body_mass")[ids, body] = tip.mass
             self._batch.expand("body_ipos")[ids, body] = tip.centre
             self._batch.expand("body_inertia")[ids, body] = tip.inertia
-
-
-def tilted(gravity: Any, tilt: Any) -> jax.Array:
-    """Gravity (3,) rotated about x, then y, by angles (n, 2) [rad]: (n, 3)."""
-    (cx, cy), (sx, sy) = jnp.cos(tilt).T, jnp.sin(tilt).T
-    x, y, z = gravity
-    y_turned, z_turned = cx * y - sx * z, sx * y + cx * z
-    return jnp.stack([cy * x + sy * z_turned, y_turned, -sy * x + cy * z_turned], axis=1)

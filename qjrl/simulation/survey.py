@@ -9,13 +9,15 @@ import numpy as np
 from qjrl.config import Range, configuration
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, cable_strokes, forward_kinematics, strand_lengths
+from qjrl.robot.kinds import verb
+from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube, planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
-from qjrl.robot.verbs import Robot, is_at_strength
+from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.settling import SLACK_TENSION, motor_force
+from qjrl.simulation.settling import SLACK_TENSION
 
 # Poses of the closed form for reach and strand stretch; cheap, so many.
 _NUM_KINEMATIC = 20_000
@@ -33,7 +35,7 @@ class DescribeConfig:
     """Low-discrepancy poses settled in the physics."""
 
 
-def survey_kinematics(robot: Robot) -> dict[str, Any]:
+def survey_kinematics(robot: QuaternionArm) -> dict[str, Any]:
     """Counts, lengths [m], strokes [m], travel times [s] and what the strands' common part does; closed form."""
     poses, bends = _many_poses(robot)
     home = forward_kinematics(robot, jnp.zeros((robot.num_segments, 2)))
@@ -62,7 +64,7 @@ def survey_kinematics(robot: Robot) -> dict[str, Any]:
 
 
 def survey_physics(
-    robot: Robot, simulation: SettleConfig, config: DescribeConfig, seed: int, advance=None
+    robot: QuaternionArm, simulation: SettleConfig, config: DescribeConfig, seed: int, advance=None
 ) -> dict[str, Any]:
     """Tension [N], slack, motor force [N], sag [m, rad] and what does not settle, over settled poses."""
     rows = sample_rows(robot, simulation, seed, 0, config.num_poses, advance)
@@ -78,14 +80,14 @@ def survey_physics(
         "settled_share": float(settled.mean()),
         "tension": [float(tension.min()), float(np.median(tension)), float(tension.max())],
         "slack_share": float((tension < SLACK_TENSION).mean()),
-        "largest_motor_force": float(np.abs(motor_force(tension)).max()),
+        "largest_motor_force": float(np.abs(verb(robot, "motor_force")(tension)).max()),
         "off_nominal": [float(np.median(position)), float(np.percentile(position, 90)), float(position.max())],
         "off_nominal_angle": [float(np.median(orientation)), float(orientation.max())],
         "largest_bend_deg": float(np.degrees(angles_of_bends(rows["bends"][settled]).max())),
     }
 
 
-def warnings_about(robot: Robot, kinematics: dict[str, Any], physics: dict[str, Any]) -> list[str]:
+def warnings_about(robot: QuaternionArm, kinematics: dict[str, Any], physics: dict[str, Any]) -> list[str]:
     """What a builder of this arm should know, one line each: first what the physics says, then the description alone."""
     lines = []
     if physics["settled_share"] < 1.0:
@@ -109,7 +111,7 @@ def warnings_about(robot: Robot, kinematics: dict[str, Any], physics: dict[str, 
     return lines
 
 
-def _warnings_of_physics(robot: Robot, physics: dict[str, Any]) -> list[str]:
+def _warnings_of_physics(robot: QuaternionArm, physics: dict[str, Any]) -> list[str]:
     """Of what has settled."""
     config, lines = robot.config, []
     if physics["slack_share"] > 0.0:
@@ -128,21 +130,21 @@ def _warnings_of_physics(robot: Robot, physics: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _many_poses(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def _many_poses(robot: QuaternionArm) -> tuple[np.ndarray, np.ndarray]:
     """Closed-form poses (n, 9) and bends (n, segments, 2) all over the feasible discs."""
     numbers = jax.random.uniform(jax.random.key(0), (_NUM_KINEMATIC, 2 * robot.num_segments))
     bends = jax.vmap(lambda row: bends_from_unit_cube(robot, row))(numbers)
     return np.asarray(jax.jit(jax.vmap(lambda row: forward_kinematics(robot, row)))(bends)), np.asarray(bends)
 
 
-def _planar_tips(robot: Robot) -> np.ndarray:
+def _planar_tips(robot: QuaternionArm) -> np.ndarray:
     """Tips (n, 3) [m] of bends in one plane, among which are the farthest."""
     numbers = jax.random.uniform(jax.random.key(1), (_NUM_KINEMATIC, robot.num_segments))
     azimuth = jnp.zeros(())
     return np.asarray(jax.jit(jax.vmap(lambda row: tip_position(robot, planar_bends(robot, row, azimuth))))(numbers))
 
 
-def _common_parts(robot: Robot, bends: np.ndarray) -> np.ndarray:
+def _common_parts(robot: QuaternionArm, bends: np.ndarray) -> np.ndarray:
     """Half the sum of each loop's two strands relative to home (n, cables) [m]: what a motor cannot give."""
     lengths = jax.jit(jax.vmap(lambda row: strand_lengths(robot, row)))(jnp.asarray(bends))
     home = strand_lengths(robot, jnp.zeros((robot.num_segments, 2)))

@@ -1,9 +1,9 @@
 """Inverse kinematics, batched over targets: FABRIK and least squares on the closed form, Adam on any `lengths -> pose`."""
 
+from qjrl.robot.ik_result import SolveResult, Status, count_statuses
+from qjrl.robot.quaternion_arm.fabrik import FabrikConfig, solve_fabrik
 from qjrl.solvers.adam import AdamConfig, solve_adam
-from qjrl.solvers.fabrik import FabrikConfig, solve_fabrik
 from qjrl.solvers.least_squares import LeastSquaresConfig, draw_candidates, solve_least_squares
-from qjrl.solvers.result import SolveResult, Status, count_statuses
 
 __all__ = [
     "AdamConfig",

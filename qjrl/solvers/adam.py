@@ -14,9 +14,9 @@ from flax import struct
 
 from qjrl.config import Range, configuration
 from qjrl.robot.forward_model import PoseFunction, pose_function
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
-from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths, cable_strokes
-from qjrl.solvers.result import SolveResult, check_targets, describe_solution
+from qjrl.robot.ik_result import SolveResult, check_targets, describe_solution
+from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.verbs import Robot, cable_lengths, cable_strokes, configuration_from_cables, within_limits
 
 
 @configuration
@@ -137,8 +137,8 @@ def _compile(model: PoseFunction | None, config: AdamConfig) -> _Compiled:
 
 def _candidates(robot: Robot, model: PoseFunction, config: AdamConfig, key: jax.Array) -> _Candidates:
     count = max(config.num_candidates, config.num_restarts * (config.num_retries + 1))
-    numbers = jax.random.uniform(key, (count, robot.num_cables))
-    lengths = jax.vmap(lambda row: cable_lengths(robot, bends_from_unit_cube(robot, row)))(numbers)
+    numbers = jax.random.uniform(key, (count, num_coordinates(robot)))
+    lengths = jax.vmap(lambda row: cable_lengths(robot, kind_of(robot).from_unit_cube(robot, row)))(numbers)
     return _Candidates(lengths, jax.vmap(model)(lengths))
 
 
@@ -181,11 +181,8 @@ def _descend(costs, project, starts: jax.Array, config: AdamConfig) -> jax.Array
 
 
 def _within_limit(robot: Robot, lengths: jax.Array) -> jax.Array:
-    """The nominal bends of lengths, each segment's shortened to the bend limit."""
-    bends = bends_from_cables(robot, lengths)
-    squared = jnp.sum(bends**2, axis=-1, keepdims=True)
-    largest = jnp.sin(robot.bend_limit / 2.0)
-    return bends * jnp.where(squared > largest**2, largest / jnp.sqrt(jnp.maximum(squared, largest**2)), 1.0)
+    """The nominal configuration of lengths, brought back within its limits."""
+    return within_limits(robot, configuration_from_cables(robot, lengths))
 
 
 def _cost(robot: Robot, model: PoseFunction, config: AdamConfig, target: jax.Array, lengths: jax.Array) -> jax.Array:

@@ -7,27 +7,25 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qjrl.robot.quaternion_arm.joint import vectors_from_bends
-from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
-from qjrl.robot.quaternion_arm.sampling import uniform_bends
+from qjrl.robot.batching import in_batches
+from qjrl.robot.kinds import kind_of
 from qjrl.robot.verbs import Robot
-from qjrl.solvers.batching import in_batches
 
 
 @struct.dataclass
 class Candidates:
     """Poses to start from."""
 
-    vectors: np.ndarray
-    """(candidates, segments, 2) bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
+    coordinates: np.ndarray
+    """(candidates, coordinates) of the robot's kind."""
     features: np.ndarray
     """(candidates, 9) their poses scaled so that squared distances compare like squared weighted errors [m]."""
 
 
 def random_candidates(robot: Robot, count: int, rotation_weight: float, seed: int) -> Candidates:
-    """Poses all over the workspace, theta and phi uniform; what a rotation counts against a position [m/rad]."""
-    bends, poses = _random_poses(robot, jax.random.key(seed), count)
-    return Candidates(vectors_from_bends(np.asarray(bends)), _features(np.asarray(poses), rotation_weight))
+    """Poses all over the workspace; what a rotation counts against a position [m/rad]."""
+    coordinates, poses = _random_poses(robot, jax.random.key(seed), count)
+    return Candidates(np.asarray(coordinates), _features(np.asarray(poses), rotation_weight))
 
 
 def nearest_candidates(
@@ -60,8 +58,13 @@ def _features(poses: np.ndarray, rotation_weight: float) -> np.ndarray:
 
 @functools.partial(jax.jit, static_argnums=2)
 def _random_poses(robot: Robot, key: jax.Array, count: int):
-    bends = jax.vmap(lambda one: uniform_bends(robot, one))(jax.random.split(key, count))
-    return bends, jax.vmap(lambda one: forward_kinematics(robot, one))(bends)
+    kind = kind_of(robot)
+
+    def draw(one: jax.Array) -> tuple[jax.Array, jax.Array]:
+        configuration = kind.random(robot, one)
+        return kind.coordinates_of(robot, configuration), kind.forward_kinematics(robot, configuration)
+
+    return jax.vmap(draw)(jax.random.split(key, count))
 
 
 # Targets whose distances to all candidates fit into a core's cache.

@@ -10,21 +10,21 @@ import numpy as np
 from flax import struct
 
 from qjrl.config import Range, configuration
+from qjrl.robot.batching import in_batches
 from qjrl.robot.forward_model import PoseFunction, pose_function
-from qjrl.robot.quaternion_arm.joint import vectors_from_bends
-from qjrl.robot.verbs import Robot
-from qjrl.solvers.batching import in_batches
-from qjrl.solvers.candidates import Candidates, nearest_candidates, random_candidates
-from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
-from qjrl.solvers.model_tip import TipFunction, exact_tip_function, lengths_of, tip_function
-from qjrl.solvers.result import (
+from qjrl.robot.ik_result import (
     SolveResult,
     Status,
-    check_initial_bends,
+    check_initial_configurations,
     check_targets,
     describe_solution,
     least_tension,
 )
+from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.verbs import Robot
+from qjrl.solvers.candidates import Candidates, nearest_candidates, random_candidates
+from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
+from qjrl.solvers.model_tip import TipFunction, exact_tip_function, lengths_of, tip_function
 
 
 @configuration
@@ -102,26 +102,30 @@ def solve_least_squares(
         initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends
     best = _nothing_found(robot, len(checked))
     if initial_bends is not None:
-        best = dataclasses.replace(
-            best, vectors=vectors_from_bends(check_initial_bends(robot, initial_bends, len(checked)))
-        )
+        begun = check_initial_configurations(robot, initial_bends, len(checked))
+        best = dataclasses.replace(best, coordinates=np.asarray(_coordinates_of(robot, begun)))
     for number, one_round in enumerate(config.rounds):
         rows = np.flatnonzero(best.status != Status.CONVERGED)
         if len(rows) == 0:
             break
         is_begun = number > 0 or initial_bends is not None
-        starts = _starts(config, candidates, best.vectors[rows], checked[rows], number, is_begun)
+        starts = _starts(config, candidates, best.coordinates[rows], checked[rows], number, is_begun)
         iterations = one_round.iterations
         if model is not None and number > 0:  # the way there on the closed form, which costs next to nothing
-            starts = _descend(robot, None, config, starts, checked[rows], iterations).vectors
+            starts = _descend(robot, None, config, starts, checked[rows], iterations).coordinates
             iterations = config.rounds[0].iterations
         best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], iterations))
     rows = np.flatnonzero(best.status != Status.CONVERGED)
     if len(rows) and config.nearest_iterations:
-        starts, steps = best.vectors[rows][:, None], config.nearest_iterations
+        starts, steps = best.coordinates[rows][:, None], config.nearest_iterations
         best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], steps, is_exact=True))
     result = _evaluate(robot, model, config, checked, best)
     return _tighten(robot, model, config, candidates, checked, result)
+
+
+@jax.jit
+def _coordinates_of(robot: Robot, configurations: jax.Array) -> jax.Array:
+    return jax.vmap(lambda one: kind_of(robot).coordinates_of(robot, one))(configurations)
 
 
 def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfig(), seed: int = 0) -> Candidates:
@@ -133,7 +137,7 @@ def draw_candidates(robot: Robot, config: LeastSquaresConfig = LeastSquaresConfi
 class _Best:
     """The best end of every target so far; numpy."""
 
-    vectors: Any  # (n, segments, 2) [rad]
+    coordinates: Any  # (n, coordinates)
     cost: Any  # (n,) [m^2]
     status: Any  # (n,)
     steps: Any  # (n,) iterations over all descents
@@ -141,7 +145,7 @@ class _Best:
 
 def _nothing_found(robot: Robot, count: int) -> _Best:
     return _Best(
-        np.zeros((count, robot.num_segments, 2)),
+        np.zeros((count, num_coordinates(robot))),
         np.full(count, np.inf),
         np.full(count, int(Status.ITERATION_LIMIT)),
         np.zeros(count, int),
@@ -151,10 +155,10 @@ def _nothing_found(robot: Robot, count: int) -> _Best:
 def _starts(
     config: LeastSquaresConfig, candidates: Candidates, begun: np.ndarray, targets: np.ndarray, number: int, is_begun
 ) -> np.ndarray:
-    """Starts (rows, starts, segments, 2) of a round: what was begun, then the nearest candidates not used yet."""
+    """Starts (rows, starts, coordinates) of a round: what was begun, then the nearest candidates not used yet."""
     counts = [one_round.num_starts for one_round in config.rounds]
     used, fresh = sum(counts[:number]), counts[number] - bool(is_begun)
-    drawn = candidates.vectors[nearest_candidates(candidates, config.descent.rotation_weight, targets, used, fresh)]
+    drawn = candidates.coordinates[nearest_candidates(candidates, config.descent.rotation_weight, targets, used, fresh)]
     return np.concatenate([begun[:, None], drawn], axis=1) if is_begun else drawn
 
 
@@ -162,7 +166,7 @@ def _starts(
 class _Ends:
     """Ends of all descents, one row each."""
 
-    vectors: Any
+    coordinates: Any
     cost: Any
     status: Any
     steps: Any
@@ -200,7 +204,7 @@ def _descend_rows(config: DescentConfig, tip: TipFunction, robot: Robot, iterati
     status = jnp.where(state.has_stalled, int(Status.STALLED), int(Status.ITERATION_LIMIT))
     status = jnp.where(is_nearest(robot, config, state), int(Status.NEAREST), status)
     status = jnp.where(state.is_near, int(Status.CONVERGED), status)
-    return _Ends(jnp.moveaxis(state.vectors, -1, 0), state.residual.cost, status, state.steps)
+    return _Ends(jnp.moveaxis(state.coordinates, -1, 0), state.residual.cost, status, state.steps)
 
 
 def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:
@@ -208,8 +212,8 @@ def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:
     winner = np.argmin(ends.cost, axis=1)
     won = jax.tree.map(lambda value: value[np.arange(len(rows)), winner], ends)
     is_better = won.cost <= best.cost[rows]
-    kept = {name: getattr(best, name).copy() for name in ("vectors", "cost", "status", "steps")}
-    for name in ("vectors", "cost", "status"):
+    kept = {name: getattr(best, name).copy() for name in ("coordinates", "cost", "status", "steps")}
+    for name in ("coordinates", "cost", "status"):
         kept[name][rows[is_better]] = getattr(won, name)[is_better]
     kept["steps"][rows] += ends.steps.sum(axis=1)
     return _Best(**kept)
@@ -228,22 +232,22 @@ def _tighten(
     They are sought on the closed form, which says of tension what the model's answer next to it says, and costs less.
     """
     rows = np.flatnonzero(np.asarray(result.converged & ~(result.least_tension >= config.least_tension)))
-    if len(rows) == 0 or config.least_tension == 0.0:
+    if len(rows) == 0 or config.least_tension == 0.0 or kind_of(robot).strand_tension is None:
         return result
     settings, shape = config.tension_round, (len(rows), config.tension_round.num_starts)
     nearest = nearest_candidates(candidates, config.descent.rotation_weight, targets[rows], 0, settings.num_starts)
-    ends = _descend(robot, None, config, candidates.vectors[nearest], targets[rows], settings.iterations)
-    vectors = ends.vectors.reshape(-1, *ends.vectors.shape[2:])
-    tension = in_batches(functools.partial(_tension_rows, robot), config.batch_size, vectors).reshape(shape)
+    ends = _descend(robot, None, config, candidates.coordinates[nearest], targets[rows], settings.iterations)
+    coordinates = ends.coordinates.reshape(-1, *ends.coordinates.shape[2:])
+    tension = in_batches(functools.partial(_tension_rows, robot), config.batch_size, coordinates).reshape(shape)
     winner = np.argmax(np.where((ends.status == Status.CONVERGED) & (tension >= 0.0), tension, -1.0), axis=1)
     chosen = (np.arange(len(rows)), winner)
-    best = _Best(ends.vectors[chosen], ends.cost[chosen], ends.status[chosen], ends.steps.sum(axis=1))
+    best = _Best(ends.coordinates[chosen], ends.cost[chosen], ends.status[chosen], ends.steps.sum(axis=1))
     if model is not None:
-        starts, iterations = best.vectors[:, None], config.rounds[0].iterations
+        starts, iterations = best.coordinates[:, None], config.rounds[0].iterations
         ends = jax.tree.map(
             lambda value: value[:, 0], _descend(robot, model, config, starts, targets[rows], iterations)
         )
-        best = _Best(ends.vectors, ends.cost, ends.status, best.steps + ends.steps)
+        best = _Best(ends.coordinates, ends.cost, ends.status, best.steps + ends.steps)
     found = _evaluate(robot, model, config, targets[rows], best)
     is_better = found.converged & (found.least_tension > result.least_tension[rows])
     steps = result.steps.at[rows].add(found.steps)
@@ -252,8 +256,8 @@ def _tighten(
 
 
 @jax.jit
-def _tension_rows(robot: Robot, vectors: jax.Array) -> jax.Array:
-    return jax.vmap(lambda rows: least_tension(robot, lengths_of(robot, rows)))(vectors)
+def _tension_rows(robot: Robot, coordinates: jax.Array) -> jax.Array:
+    return jax.vmap(lambda rows: least_tension(robot, lengths_of(robot, rows)))(coordinates)
 
 
 def _evaluate(
@@ -261,15 +265,15 @@ def _evaluate(
 ) -> SolveResult:
     """The result, its errors recomputed by the model."""
     function = functools.partial(_evaluate_rows, config.descent, model, robot)
-    result = in_batches(function, config.batch_size, targets, best.vectors, best.steps, best.status)
+    result = in_batches(function, config.batch_size, targets, best.coordinates, best.steps, best.status)
     return jax.tree.map(jnp.asarray, result)
 
 
 @functools.partial(jax.jit, static_argnums=(0, 1))
 def _evaluate_rows(
-    config: DescentConfig, model: PoseFunction | None, robot: Robot, targets, vectors, steps, ended
+    config: DescentConfig, model: PoseFunction | None, robot: Robot, targets, coordinates, steps, ended
 ) -> SolveResult:
-    lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(vectors)
+    lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(coordinates)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
     result = describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
     is_open = (result.status == Status.ITERATION_LIMIT) & (ended != Status.CONVERGED)

@@ -1,6 +1,6 @@
-"""Damped least squares on the arm, many starts side by side: residual, step, acceptance, end.
+"""Damped least squares on a robot of any kind, many starts side by side: residual, step, acceptance, end.
 
-Components come first and the batch, one a start, last (see `qjrl.robot.quaternion_arm.differential`).
+It steps in the coordinates of the robot's kind. Components come first and the batch, one a start, last.
 """
 
 import dataclasses
@@ -16,9 +16,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range, configuration
 from qjrl.geometry import batch_last, cholesky
-from qjrl.robot.quaternion_arm.differential import Tip, tip_of
+from qjrl.robot.kinds import kind_of
+from qjrl.robot.limits import Limits
+from qjrl.robot.tip import Tip
 from qjrl.robot.verbs import Robot
-from qjrl.solvers.model_tip import TipFunction
+from qjrl.solvers.model_tip import TipFunction, nominal_tip
 
 
 @configuration
@@ -34,7 +36,7 @@ class DescentConfig:
     damping_increase: Annotated[float, Range(above=1.0)] = 4.0
     """Factor after a step that does not; the step is taken back."""
     largest_step: Annotated[float, Range(above=0.0)] = 1.0
-    """Bound of a step over all bend vectors [rad]."""
+    """Bound of a step over all coordinates [rad]."""
     shortest_step: Annotated[float, Range(above=0.0)] = 1e-7
     """A descent whose step is shorter has stalled [rad]."""
     position_tolerance: Annotated[float, Range(above=0.0)] = 1e-5
@@ -64,8 +66,8 @@ class Residual:
 class Descent:
     """Where every start has come to."""
 
-    vectors: Float[Array, "segments 2 batch"]
-    """Bend vectors theta_k (cos phi_k, sin phi_k) [rad]."""
+    coordinates: Float[Array, "coordinates batch"]
+    """Of the robot's kind, such as bend vectors [rad]."""
     residual: Residual
     damping: Float[Array, "batch"]
     steps: Int[Array, "batch"]
@@ -84,16 +86,16 @@ class Descent:
 def descend(
     robot: Robot,
     config: DescentConfig,
-    starts: Float[Array, "segments 2 batch"],
+    starts: Float[Array, "coordinates batch"],
     targets: Float[Array, "9 batch"],
     iterations: Int[Array, ""],
-    tip: TipFunction = tip_of,
+    tip: TipFunction = nominal_tip,
 ) -> Descent:
     """Levenberg-Marquardt from every start until all are near or stalled, or for `iterations`.
 
     `tip` gives poses and Jacobian: the closed form's, or a learned model's (see `model_tip`).
     """
-    problem = _Problem(robot, config, targets, partial(tip, robot))
+    problem = _Problem(kind_of(robot).limits(robot), config, targets, partial(tip, robot))
 
     def is_unfinished(carry) -> jax.Array:
         number, state = carry
@@ -103,7 +105,7 @@ def descend(
         number, state = carry
         return number + 1, _iterate(problem, state)
 
-    state = _begin(problem, within_limit(robot, starts))
+    state = _begin(problem, problem.limits.within(starts))
     return jax.lax.while_loop(is_unfinished, advance, (jnp.zeros_like(iterations), state))[1]
 
 
@@ -112,8 +114,8 @@ def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Arra
 
     At the minimum the cosines are 0; those of 1e-3 cost about a millionth of the error (second order).
     """
-    held = _hold_at_limit(robot, state.vectors, state.residual)
-    gradient = jnp.abs(jnp.sum(held.jacobian * held.error[:, None], axis=0))  # (coordinates, batch)
+    free = _free_jacobian(kind_of(robot).limits(robot), state.coordinates, state.residual)
+    gradient = jnp.abs(jnp.sum(free * state.residual.error[:, None], axis=0))  # (coordinates, batch)
     scale = jnp.sqrt(jnp.sum(state.residual.jacobian**2, axis=0) * state.residual.cost)
     return jnp.all(gradient <= config.optimality * scale, axis=0)
 
@@ -133,7 +135,7 @@ def damped_step(
 ) -> Float[Array, "coordinates batch"]:
     """The step J^T (J J^T + mu tr(J J^T) I)^-1 e, equal to (J^T J + mu tr I)^-1 J^T e, capped in length [rad].
 
-    The first form is 6 x 6 whatever the number of segments.
+    The first form is 6 x 6 whatever the number of coordinates.
     """
     normal = jnp.sum(residual.jacobian[:, None] * residual.jacobian[None], axis=2)  # J J^T, (6, 6, batch)
     scaled_damping = damping * sum(normal[i, i] for i in range(6))
@@ -142,33 +144,26 @@ def damped_step(
     return step * jnp.minimum(1.0, largest / jnp.maximum(jnp.sqrt(jnp.sum(step**2, axis=0)), largest))
 
 
-def within_limit(robot: Robot, vectors: Float[Array, "segments 2 batch"]) -> Float[Array, "segments 2 batch"]:
-    """Bend vectors with each theta shortened to the bend limit."""
-    limit = robot.bend_limit.astype(vectors.dtype)
-    angle = jnp.sqrt(jnp.maximum(jnp.sum(vectors**2, axis=1, keepdims=True), limit**2))
-    return vectors * (limit / angle)
-
-
 @dataclasses.dataclass(frozen=True)
 class _Problem:
     """What stays the same during a descent."""
 
-    robot: Robot
+    limits: Limits
     config: DescentConfig
     targets: jax.Array
     tip: Callable[[jax.Array], Tip]
 
-    def residual(self, vectors: jax.Array) -> Residual:
-        return residual_of(self.tip(vectors), self.config.rotation_weight, self.targets)
+    def residual(self, coordinates: jax.Array) -> Residual:
+        return residual_of(self.tip(coordinates), self.config.rotation_weight, self.targets)
 
 
-def _begin(problem: _Problem, vectors: jax.Array) -> Descent:
-    residual = problem.residual(vectors)
-    batch = vectors.shape[-1:]
+def _begin(problem: _Problem, coordinates: jax.Array) -> Descent:
+    residual = problem.residual(coordinates)
+    batch = coordinates.shape[-1:]
     return Descent(
-        vectors,
+        coordinates,
         residual,
-        jnp.full(batch, problem.config.damping, vectors.dtype),
+        jnp.full(batch, problem.config.damping, coordinates.dtype),
         jnp.zeros(batch, jnp.int32),
         _is_near(problem.config, residual),
         jnp.zeros(batch, bool),
@@ -177,18 +172,18 @@ def _begin(problem: _Problem, vectors: jax.Array) -> Descent:
 
 def _iterate(problem: _Problem, state: Descent) -> Descent:
     """One step of every start that is going; taken back where it does not lower the cost."""
-    robot, config = problem.robot, problem.config
-    held = _hold_at_limit(robot, state.vectors, state.residual)
-    step = damped_step(held, state.damping, config.largest_step)
-    vectors = within_limit(robot, state.vectors + step.reshape(state.vectors.shape))
-    residual = problem.residual(vectors)
+    config, residual = problem.config, state.residual
+    free = dataclasses.replace(residual, jacobian=_free_jacobian(problem.limits, state.coordinates, residual))
+    step = damped_step(free, state.damping, config.largest_step)
+    coordinates = problem.limits.within(state.coordinates + step)
+    residual = problem.residual(coordinates)
     is_better = (residual.cost < state.residual.cost) & state.is_going
     pick = lambda new, old: jnp.where(is_better, new, old)  # noqa: E731
-    moved = jnp.sqrt(jnp.sum((vectors - state.vectors) ** 2, axis=(0, 1)))
+    moved = jnp.sqrt(jnp.sum((coordinates - state.coordinates) ** 2, axis=0))
     residual = jax.tree.map(pick, residual, state.residual)
     is_near = _is_near(config, residual)
     return Descent(
-        pick(vectors, state.vectors),
+        pick(coordinates, state.coordinates),
         residual,
         jnp.where(is_better, state.damping * config.damping_decrease, state.damping * config.damping_increase),
         state.steps + state.is_going,
@@ -197,20 +192,13 @@ def _iterate(problem: _Problem, state: Descent) -> Descent:
     )
 
 
-def _hold_at_limit(robot: Robot, vectors: jax.Array, residual: Residual) -> Residual:
-    """Takes out of the Jacobian what would bend a joint at its limit further (gradient projection).
+def _free_jacobian(limits: Limits, coordinates: jax.Array, residual: Residual) -> jax.Array:
+    """The Jacobian without what would carry a coordinate beyond its limit (gradient projection).
 
     Clipping alone spends the step outward and stops short of the best point on the limit.
     """
-    flat = residual.jacobian.reshape(6, *vectors.shape)  # (6, segments, 2, batch)
-    gradient = jnp.sum(flat * residual.error[:, None, None], axis=0)
-    squared = jnp.sum(vectors**2, axis=1)
-    is_held = (squared >= (robot.bend_limit * _AT_LIMIT) ** 2) & (jnp.sum(gradient * vectors, axis=1) > 0)
-    outward = (
-        vectors * jnp.where(is_held, 1.0 / jnp.maximum(squared, (robot.bend_limit * _AT_LIMIT) ** 2), 0.0)[:, None]
-    )
-    radial = jnp.sum(flat * vectors, axis=2, keepdims=True)  # (6, segments, 1, batch)
-    return dataclasses.replace(residual, jacobian=(flat - radial * outward).reshape(residual.jacobian.shape))
+    slope = jnp.sum(residual.jacobian * residual.error[:, None], axis=0)
+    return limits.free_motions(coordinates, slope, residual.jacobian)
 
 
 def _is_near(config: DescentConfig, residual: Residual) -> jax.Array:
@@ -223,5 +211,3 @@ def _is_near(config: DescentConfig, residual: Residual) -> jax.Array:
 
 # A descent goes on until its errors are this part of the tolerances: the answer holds when it is recomputed.
 _MARGIN = 0.1
-# A joint this close to its limit counts as at it: clipping leaves it there to rounding.
-_AT_LIMIT = 1.0 - 1e-6

@@ -43,7 +43,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     robot, settings = robot_from_mapping(config.robot), config.accuracy
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
-    trained = settled_rows(data)["pose"]
+    trained = settled_rows(robot, data)["pose"]
     with progress.track(settings.num_targets, "reaching for targets") as advance:
         find = lambda: reachable_targets(  # noqa: E731
             robot, config.simulation, trained, settings.num_targets, settings.distance, config.seed, advance

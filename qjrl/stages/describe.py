@@ -10,7 +10,7 @@ from qjrl import artifacts, progress
 from qjrl.analysis.arm_drawing import draw_arm
 from qjrl.analysis.canvas import save_png
 from qjrl.analysis.description import description_text
-from qjrl.control.targets import draw_bends
+from qjrl.control.targets import draw_configurations
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about
@@ -36,7 +36,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     warnings = warnings_about(robot, kinematics, physics)
     names = [number for pair in robot.config.cables.names for number in pair]
     text = description_text(kinematics, physics, names, warnings)
-    bends = np.concatenate([np.zeros((1, robot.num_segments, 2)), draw_bends(robot, "uniform", 2, config.seed)])
+    bends = np.concatenate(
+        [np.zeros((1, robot.num_segments, 2)), draw_configurations(robot, "uniform", 2, config.seed)]
+    )
     save_png(draw_arm(robot, bends), out / "arm.png")
     artifacts.write_json(out / "description.json", {"kinematics": kinematics, "physics": physics, "warnings": warnings})
     artifacts.write_bytes(out / "description.txt", f"{text}\n".encode())

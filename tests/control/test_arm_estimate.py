@@ -13,7 +13,8 @@ from qjrl.control import arm_estimate, controller
 from qjrl.control.arm_estimate import EstimateConfig, Prior
 from qjrl.control.bases import environment_of
 from qjrl.control.episode import EnvironmentConfig
-from qjrl.control.observations import held_rotation_vectors
+from qjrl.control.observations import held_reading
+from qjrl.control.sensors import exact_reading
 from qjrl.control.tip_correction import sensed_pose, tip_error
 from qjrl.robot import cable_lengths, equilibrium, forward_kinematics
 
@@ -52,7 +53,7 @@ def test_where_nothing_can_be_believed_the_mean_is_taken():
 def test_it_is_the_mean_of_the_posterior():
     """As Gaussian regression of the causes has it, in whatever order they are counted."""
     rest, mean, count = jax.jit(equilibrium)(ARM, LENGTHS), np.array([[0.012, -0.02], [0.004, 0.03]]), 7
-    turned = jax.jacfwd(arm_estimate.rotation_vectors)(rest.bends).reshape(4, 4)
+    turned = jax.jacfwd(lambda bends: exact_reading(ARM, bends))(rest.configuration).reshape(4, 4)
     causes = np.concatenate([np.reshape(part, (4, -1)) for part in (rest.by_pull, rest.by_tilt, rest.by_gain)], axis=1)
     weights = [CONFIG.friction] * 8 + [math.radians(CONFIG.tilt_deg)] * 2 + [CONFIG.gain]
     design = turned @ causes
@@ -101,7 +102,7 @@ def settled(config):
     state = controller.begin(config, ARM, task)
     memory = jnp.broadcast_to(state.expected, state.memory.shape)
     state = dataclasses.replace(state, command=LENGTHS, memory=memory, step=jnp.asarray(149, jnp.int32))
-    return state, held_rotation_vectors(ARM, LENGTHS) + BELIEVED.expected
+    return state, held_reading(ARM, LENGTHS) + BELIEVED.expected
 
 
 def test_the_tip_lacks_by_the_estimate_what_it_lacks_where_the_arm_is_believed_to_rest(config, settled):

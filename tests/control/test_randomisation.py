@@ -7,7 +7,7 @@ from arms import arm_named
 
 from qjrl.config import ConfigError, build
 from qjrl.control.randomisation import RandomisationConfig, draw_parameters
-from qjrl.simulation.stepping import PhysicalParameters
+from qjrl.robot.plant import PhysicalParameters
 
 ARM = arm_named("qj_22")
 CONFIG = RandomisationConfig(strand_stiffness_scale=(0.8, 1.1), payload=(0.0, 0.1))

@@ -8,10 +8,10 @@ from qjrl.control.sensors import (
     MEMORY_SIZE,
     SETTLING,
     TIME_CONSTANTS,
-    bends_of_rotation_vectors,
+    exact_reading,
     read_encoders,
     remember,
-    rotation_vectors,
+    sensed_configuration,
 )
 from qjrl.robot import bends_from_angles
 
@@ -21,22 +21,25 @@ NOISE_DEG = 0.25
 def test_rotation_vectors_are_the_angle_along_the_direction():
     direction, angle = jnp.array([0.3, -2.0, 3.0]), jnp.array([0.001, 0.7, 3.0])
     expected = angle[:, None] * jnp.stack([jnp.cos(direction), jnp.sin(direction)], axis=1)
-    np.testing.assert_allclose(rotation_vectors(bends_from_angles(direction, angle)), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        exact_reading(arm_named("rolling_312"), bends_from_angles(direction, angle)), expected, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3, 1e-8, 1e-12, 0.0])
 def test_rotation_vectors_go_and_come_back(scale):
-    bends = scale * random_bends(arm_named("qj_2222"), 1)[0]
-    vectors = rotation_vectors(jnp.asarray(bends))
-    np.testing.assert_allclose(bends_of_rotation_vectors(vectors), bends, atol=1e-15, rtol=1e-12)
+    arm = arm_named("qj_2222")
+    bends = scale * random_bends(arm, 1)[0]
+    vectors = exact_reading(arm, jnp.asarray(bends))
+    np.testing.assert_allclose(sensed_configuration(arm, vectors), bends, atol=1e-15, rtol=1e-12)
 
 
-@pytest.mark.parametrize("convert", [rotation_vectors, bends_of_rotation_vectors])
+@pytest.mark.parametrize("convert", [exact_reading, sensed_configuration])
 def test_values_and_gradients_are_finite_at_no_bend(convert):
-    zero = jnp.zeros((2, 2))
-    np.testing.assert_array_equal(convert(zero), zero)
-    slope = {rotation_vectors: 2.0, bends_of_rotation_vectors: 0.5}[convert]
-    jacobian = jax.jacobian(convert)(zero)
+    arm, zero = arm_named("qj_22"), jnp.zeros((2, 2))
+    np.testing.assert_array_equal(convert(arm, zero), zero)
+    slope = {exact_reading: 2.0, sensed_configuration: 0.5}[convert]
+    jacobian = jax.jacobian(lambda value: convert(arm, value))(zero)
     np.testing.assert_allclose(jacobian, slope * np.eye(4).reshape(2, 2, 2, 2), atol=1e-9)
 
 
@@ -48,7 +51,7 @@ def test_the_encoders_read_a_mean_over_the_segments_joints_and_no_bend_of_the_de
     count_of_joints = np.array(arm.joints_per_segment)[:, None]
     working = count_of_joints - (np.arange(arm.num_segments) == dead)[:, None]
     read = jax.jit(jax.vmap(lambda key: read_encoders(arm, bends, NOISE_DEG, key, jnp.asarray(working[:, 0]))))
-    errors = np.asarray(read(keys) - working / count_of_joints * rotation_vectors(bends))
+    errors = np.asarray(read(keys) - working / count_of_joints * exact_reading(arm, bends))
     expected = np.radians(NOISE_DEG) * np.sqrt(working) / count_of_joints * np.ones((1, 2))
     assert np.all(np.abs(errors.mean(axis=0)) < 4.0 * expected / np.sqrt(count))
     np.testing.assert_allclose(errors.std(axis=0), expected, rtol=4.0 / np.sqrt(2 * count))
@@ -60,7 +63,9 @@ def test_without_noise_the_encoders_read_the_truth():
     arm = arm_named("qj_22")
     bends = jnp.asarray(random_bends(arm, 1)[0])
     everyone = jnp.array(arm.joints_per_segment, float)
-    np.testing.assert_array_equal(read_encoders(arm, bends, 0.0, jax.random.key(0), everyone), rotation_vectors(bends))
+    np.testing.assert_array_equal(
+        read_encoders(arm, bends, 0.0, jax.random.key(0), everyone), exact_reading(arm, bends)
+    )
 
 
 def test_the_memory_weighs_a_reading_by_its_age():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arms import arm_named
 
-from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_bends, target_poses
+from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_configurations, target_poses
 from qjrl.robot import forward_kinematics
 from qjrl.robot.quaternion_arm.sampling import bends_at_distance, bends_from_unit_cube
 
@@ -24,9 +24,9 @@ def angles(bends):
 @pytest.mark.parametrize("target_set", TARGET_SETS)
 def test_a_row_depends_on_its_number_and_not_on_how_many_there_are(target_set):
     arm = arm_named("qj_22")
-    many = draw_bends(arm, target_set, 9, seed=4)
-    np.testing.assert_array_equal(draw_bends(arm, target_set, 5, seed=4), many[:5])
-    assert np.abs(draw_bends(arm, target_set, 9, seed=5) - many).min(axis=(1, 2)).max() > 0
+    many = draw_configurations(arm, target_set, 9, seed=4)
+    np.testing.assert_array_equal(draw_configurations(arm, target_set, 5, seed=4), many[:5])
+    assert np.abs(draw_configurations(arm, target_set, 9, seed=5) - many).min(axis=(1, 2)).max() > 0
     assert len(np.unique(many.round(12), axis=0)) == 9
 
 
@@ -34,13 +34,13 @@ def test_a_row_depends_on_its_number_and_not_on_how_many_there_are(target_set):
 @pytest.mark.parametrize("name", ARMS)
 def test_every_target_is_within_the_joints_limits(name, target_set):
     arm = arm_named(name)
-    found = angles(draw_bends(arm, target_set, 400, seed=0))
+    found = angles(draw_configurations(arm, target_set, 400, seed=0))
     assert found.max() <= float(arm.bend_limit) + 1e-9
 
 
 def test_uniform_targets_are_uniform_in_angle_and_direction():
     arm, count = arm_named("qj_2222"), 2000
-    bends = draw_bends(arm, "uniform", count, seed=0)
+    bends = draw_configurations(arm, "uniform", count, seed=0)
     shares = angles(bends) / float(arm.bend_limit)
     turns = np.arctan2(bends[..., 1], bends[..., 0]) / (2 * np.pi) + 0.5
     for places in (shares, turns):
@@ -51,7 +51,7 @@ def test_uniform_targets_are_uniform_in_angle_and_direction():
 def test_targets_near_home_follow_the_papers_law():
     """d = d_max u^3, so (d / d_max)^(1/3) is uniform and half of the tips are within d_max / 8."""
     arm, count, largest = arm_named("qj_2222"), 2000, 0.3
-    distances = tip_distances(arm, draw_bends(arm, "near_home", count, 0, TargetConfig(largest)))
+    distances = tip_distances(arm, draw_configurations(arm, "near_home", count, 0, TargetConfig(largest)))
     assert distances.max() <= largest + 1e-6
     # Some directions cannot reach as far as drawn: the largest distances are a little rarer.
     np.testing.assert_allclose(np.histogram(np.cbrt(distances / largest), 4, (0, 1))[0] / count, 0.25, atol=0.045)
@@ -90,4 +90,4 @@ def test_bends_of_the_unit_cube_cover_the_disc_evenly():
 
 def test_an_unknown_set_is_refused_with_those_that_exist():
     with pytest.raises(ValueError, match="target_set: got 'far', allowed: uniform, near_home"):
-        draw_bends(arm_named("qj_22"), "far", 3, 0)
+        draw_configurations(arm_named("qj_22"), "far", 3, 0)

@@ -9,7 +9,8 @@ from worlds import ARM, CONFIG, NUM_ENVS, World, bank, nothing, rows_of
 from qjrl.control.evaluation import Evaluator
 from qjrl.control.termination import TerminationConfig, is_lost, overloaded_for
 from qjrl.robot import bends_from_angles, joint_positions
-from qjrl.simulation.stepping import MujocoStepper, PlantState
+from qjrl.robot.plant import PlantState
+from qjrl.simulation.stepping import MujocoStepper
 
 TERMINATION = TerminationConfig()
 STOP_DEG = ARM.config.joint.bend_limit_deg + ARM.config.joint.stop_margin_deg

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
 
-from qjrl.control.sensors import rotation_vectors
+from qjrl.control.sensors import exact_reading
 from qjrl.control.tip_correction import (
     LEVER,
     IntegralConfig,
@@ -57,7 +57,7 @@ def test_the_difference_is_a_shift_and_a_turn_of_the_lever():
 def test_the_sensed_pose_of_exact_encoders_is_the_kinematics():
     arm = arm_named("qj_2222")
     bends = jnp.asarray(random_bends(arm, 1)[0])
-    np.testing.assert_allclose(sensed_pose(arm, rotation_vectors(bends)), forward_kinematics(arm, bends), atol=1e-12)
+    np.testing.assert_allclose(sensed_pose(arm, exact_reading(arm, bends)), forward_kinematics(arm, bends), atol=1e-12)
 
 
 def test_the_integral_of_a_constant_difference_grows_by_the_gain_up_to_its_bound():

@@ -18,11 +18,12 @@ from qjrl.control.tip_correction import IntegralConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY, State, observation_sizes
 from qjrl.learning.ppo.policy import Policy
 from qjrl.robot import cable_lengths, forward_kinematics, joint_positions, strand_commands
+from qjrl.robot.plant import PlantState
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_engine
-from qjrl.simulation.stepping import MujocoStepper, PlantState
+from qjrl.simulation.stepping import MujocoStepper
 from qjrl.xla_options import jit_of_chains
 
 ARM = arm_named("qj_22")

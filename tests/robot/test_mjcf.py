@@ -4,8 +4,8 @@ import pytest
 from arms import ARMS, arm_named, over_rows, random_bends
 
 from qjrl.robot import build_mjcf, forward_kinematics, joint_positions, load_robot, strand_commands, strand_lengths
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
 from qjrl.robot.quaternion_arm.naming import joint_labels, strand_name
+from qjrl.robot.solver_options import SolverOptions
 
 
 def compiled(arm, options: SolverOptions = SolverOptions()):

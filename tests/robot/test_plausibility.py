@@ -24,8 +24,8 @@ from qjrl.robot import (
     strand_lengths,
     strand_tension,
 )
-from qjrl.robot.kinds import require_robot
-from qjrl.robot.plausibility import check_cable_lengths, check_positions, one_sample, straight_length
+from qjrl.robot.kinds import kind_of, require_robot
+from qjrl.robot.plausibility import check_cable_lengths, check_positions, one_sample
 from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation import settle
 from qjrl.simulation.survey import warnings_about
@@ -42,7 +42,7 @@ def test_whatever_an_arm_does_is_plausible_and_in_millimetres_it_is_not(name):
     check_cable_lengths(arm, lengths, strokes=1.0 + 1e-9)
     check_positions(arm, poses[:, :3], "here")
     home = np.asarray(forward_kinematics(arm, jnp.zeros((arm.num_segments, 2))))
-    assert straight_length(arm) == pytest.approx(home[2], rel=1e-12)
+    assert kind_of(arm).reach(arm) == pytest.approx(home[2], rel=1e-12)
     for factor in (1000.0, 100.0):
         with pytest.raises(ConfigError, match="in millimetres"):
             check_positions(arm, factor * poses[:, :3], "here")

@@ -15,11 +15,11 @@ from qjrl.robot import (
     strand_commands,
     strand_tension,
 )
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation import settle
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.stepping import PhysicalParameters
 
 ARM = arm_named("qj_22")
 BENDS = jnp.array([[0.25, 0.1], [-0.2, 0.3]])
@@ -56,8 +56,8 @@ def shifted():
 
 
 def test_it_is_where_mujoco_rests():
-    assert np.abs(rested(SettleConfig(num_threads=1), held(1))[0] - FOUND.bends).max() < 2e-5
-    assert np.abs(BENDS - FOUND.bends).max() > 1e-3  # which is not where a perfect arm would be
+    assert np.abs(rested(SettleConfig(num_threads=1), held(1))[0] - FOUND.configuration).max() < 2e-5
+    assert np.abs(BENDS - FOUND.configuration).max() > 1e-3  # which is not where a perfect arm would be
 
 
 def test_slopes_are_those_of_arms_that_differ(shifted):

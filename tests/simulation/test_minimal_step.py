@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from qjrl.simulation.minimal_step import BLOCK, MOST_AT_ONCE, in_blocks
+from qjrl.robot.quaternion_arm.minimal_step import BLOCK, MOST_AT_ONCE, in_blocks
 
 
 @pytest.mark.parametrize("batch", [1, MOST_AT_ONCE, MOST_AT_ONCE + 1, 4 * BLOCK - 1, 4 * BLOCK])

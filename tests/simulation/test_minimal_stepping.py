@@ -10,9 +10,10 @@ from arms import arm_named
 from statics import equilibria
 
 from qjrl.robot import cable_lengths, joint_positions, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters, Stepper
+from qjrl.simulation.stepping import MujocoStepper, Stepper
 
 
 def MinimalStepper(arm, num_sims, timestep=0.005) -> Any:

@@ -9,11 +9,11 @@ import pytest
 from arms import altered, over_rows, random_bends
 
 from qjrl.robot import cable_lengths, joint_positions, robot_from_mapping, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.payload import tip_body
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.stepping import PhysicalParameters
 
 # `qj_22` takes over two minutes of CPU to compile.
 ARM = robot_from_mapping(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from qjrl.control.targets import draw_bends
+from qjrl.control.targets import draw_configurations
 from qjrl.robot import cable_lengths, load_robot
 from qjrl.simulation import settle
 
@@ -15,7 +15,7 @@ PARITY_MM = 0.05
 
 def test_mjx_rests_where_c_mujoco_rests():
     arm = load_robot("qj_2222")
-    bends = draw_bends(arm, "uniform", 6, seed=3)
+    bends = draw_configurations(arm, "uniform", 6, seed=3)
     lengths = np.stack([cable_lengths(arm, row) for row in bends])
     expected, found = settle(arm, lengths), settle(arm, lengths, backend="mjx")
     tip_mm = 1e3 * np.linalg.norm(found.pose[:, :3] - expected.pose[:, :3], axis=1)

@@ -9,10 +9,11 @@ import pytest
 from arms import over_rows, random_bends
 
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation import SettleConfig, settle
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.payload import tip_body
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.simulation.stepping import MujocoStepper
 
 pytestmark = pytest.mark.slow
 

@@ -9,9 +9,10 @@ from arms import over_rows, random_bends
 
 from qjrl.config import ConfigError
 from qjrl.robot import build_mjcf, cable_lengths, joint_positions, load_robot, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation import SettleConfig, settle
 from qjrl.simulation.engines import make_stepper
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.simulation.stepping import MujocoStepper
 
 ARM, NUM_SIMS, SUBSTEPS = load_robot("qj_2222"), 4, 5
 NUM_RAMP, NUM_HELD = 20, 25

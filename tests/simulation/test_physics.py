@@ -19,7 +19,7 @@ from qjrl.robot import (
     strand_commands,
     strand_lengths,
 )
-from qjrl.robot.quaternion_arm.mjcf import SolverOptions
+from qjrl.robot.solver_options import SolverOptions
 from qjrl.simulation import SettleConfig, settle
 from qjrl.simulation.mujoco_settle import settle_mujoco
 from qjrl.simulation.settling import SettleProblem

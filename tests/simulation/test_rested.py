@@ -25,9 +25,11 @@ def restless(robot, lengths, *_, **__):
     """What `settle` gives of an arm that never rests."""
     count = len(lengths)
     nothing = np.full(count, np.nan)
-    shapes = {"pose": (9,), "bends": (2, 2), "strand_tension": (8,), "joint_positions": (20,)}
+    shapes = {"pose": (9,), "configuration": (2, 2), "strand_tension": (8,), "joint_positions": (20,)}
     arrays = {name: np.full((count, *shape), np.nan) for name, shape in shapes.items()}
-    return SettleResult(**arrays, equality_error=nothing, speed=nothing, steps=nothing, converged=np.zeros(count, bool))
+    return SettleResult(
+        robot, **arrays, equality_error=nothing, speed=nothing, steps=nothing, converged=np.zeros(count, bool)
+    )
 
 
 @dataclasses.dataclass

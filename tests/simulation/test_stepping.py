@@ -7,10 +7,11 @@ import pytest
 from arms import arm_named, random_bends
 
 from qjrl.robot import cable_lengths, joint_positions, strand_commands
+from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
-from qjrl.simulation.stepping import MujocoStepper, PhysicalParameters
+from qjrl.simulation.stepping import MujocoStepper
 
 STATE = ("joint_positions", "joint_velocities", "strand_lengths", "strand_velocities", "strand_tension", "pose")
 

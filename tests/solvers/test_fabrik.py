@@ -9,12 +9,12 @@ from poses import assert_sound, reachable, turned, turned_bends, unreachable
 from scipy.spatial.transform import Rotation
 
 from qjrl.robot import bends_from_angles
+from qjrl.robot.quaternion_arm.fabrik import rodrigues, turn_about_goal
+from qjrl.robot.quaternion_arm.fabrik_model import segment_lengths, state_of, virtual_arm
+from qjrl.robot.quaternion_arm.fabrik_reach import goal_of, reach_backward, reach_forward
 from qjrl.robot.quaternion_arm.joint import joint_transform
 from qjrl.robot.quaternion_arm.kinematics import frames, segment_frames
 from qjrl.solvers import FabrikConfig, Status, solve_fabrik
-from qjrl.solvers.fabrik import rodrigues, turn_about_goal
-from qjrl.solvers.fabrik_model import segment_lengths, state_of, virtual_arm
-from qjrl.solvers.fabrik_reach import goal_of, reach_backward, reach_forward
 
 ARM = arm_named("rolling_312")  # odd and even segments
 CONFIG = FabrikConfig(batch_size=16, outer_iterations=150)

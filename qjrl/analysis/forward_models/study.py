@@ -109,7 +109,7 @@ def run_study(
         What `metrics.json` holds; and of the ensemble, on the rows its factors were not fitted to, position and
         orientation error and sigma (n,) [m], [rad].
     """
-    train, held_out = settled_split(data, config.held_out, seed)
+    train, held_out = settled_split(robot, data, config.held_out, seed)
     plan = make_plan(config, len(train["seed"]))
     fits = {fit.name: fit for part in plan.values() for fit in part.values()}
     results, models = {}, {}

@@ -12,6 +12,7 @@ import numpy as np
 
 from qjrl.config import Range, configuration
 from qjrl.robot import bends_from_angles, forward_kinematics, load_robot
+from qjrl.robot.quaternion_arm.fabrik import watch_fabrik
 from qjrl.robot.verbs import Robot
 from qjrl.solvers import (
     FabrikConfig,
@@ -21,7 +22,6 @@ from qjrl.solvers import (
     solve_fabrik,
     solve_least_squares,
 )
-from qjrl.solvers.fabrik import watch_fabrik
 from qjrl.solvers.least_squares import RoundConfig
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from qjrl.config import Range, configuration
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
-from qjrl.control.targets import draw_bends, target_poses
+from qjrl.control.targets import draw_configurations, target_poses
 from qjrl.keys import seed_for
 from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.verbs import Robot
@@ -67,7 +67,10 @@ def run_open_loop(
         advance: called with the number of newly settled commands.
     """
     targets = target_poses(
-        robot, draw_bends(robot, target_set, config.num_targets, seed_for(seed, "targets of the open loop"), ik.targets)
+        robot,
+        draw_configurations(
+            robot, target_set, config.num_targets, seed_for(seed, "targets of the open loop"), ik.targets
+        ),
     )
     runs = {}
     for name, solved in first_commands(

@@ -8,11 +8,10 @@ import numpy as np
 
 from qjrl.control.tracking.errors import pose_residual
 from qjrl.control.tracking.paths import Constraint, PosePath
-from qjrl.geometry.rotations import safe_norm
 from qjrl.robot import cable_lengths
 from qjrl.robot.forward_model import pose_function
-from qjrl.robot.quaternion_arm.sampling import uniform_bends
-from qjrl.robot.verbs import Robot
+from qjrl.robot.kinds import kind_of
+from qjrl.robot.verbs import Robot, within_limits
 
 
 def chained(robot: Robot, path: PosePath, num_starts: int, seed: int) -> np.ndarray:
@@ -22,7 +21,8 @@ def chained(robot: Robot, path: PosePath, num_starts: int, seed: int) -> np.ndar
         num_starts: chains, the first from home, the others from random configurations.
     """
     keys = jax.random.split(jax.random.key(seed), num_starts)
-    starts = jax.vmap(lambda key: uniform_bends(robot, key))(keys).at[0].set(0.0)
+    kind = kind_of(robot)
+    starts = jax.vmap(lambda key: kind.random(robot, key))(keys).at[0].set(kind.home(robot))
     targets = np.concatenate([np.repeat(path.pose[:1], _ARRIVAL, axis=0), path.pose])
     lengths, missed = (np.asarray(part) for part in _run_chains(path.constraint, robot, starts, targets))
     lengths, missed = lengths[:, _ARRIVAL:], missed[:, _ARRIVAL:].max(axis=1)
@@ -33,24 +33,22 @@ def chained(robot: Robot, path: PosePath, num_starts: int, seed: int) -> np.ndar
 @functools.partial(jax.jit, static_argnums=0)
 def _run_chains(constraint: Constraint, robot: Robot, starts: jax.Array, targets: jax.Array):
     """Cable lengths (starts, n, cables) of chains of descents from target to target, and their residuals (starts, n) [m]."""
-    nominal = pose_function(robot, None)
-    largest = jnp.sin(robot.bend_limit / 2.0)
+    nominal, shape = pose_function(robot, None), starts.shape[1:]
 
     def residual(flat, target):
-        error = pose_residual(constraint, nominal(cable_lengths(robot, flat.reshape(-1, 2))), target)
+        error = pose_residual(constraint, nominal(cable_lengths(robot, flat.reshape(shape))), target)
         return error, error
 
     def step(flat, target):
         jacobian, error = jax.jacfwd(residual, has_aux=True)(flat, target)
         squared = jnp.sum(error**2)  # damping by it keeps far steps short and near ones Newton's
         damped = jacobian.T @ jacobian + (squared + 1e-10) * jnp.eye(len(flat))
-        bends = (flat - jnp.linalg.solve(damped, jacobian.T @ error)).reshape(-1, 2)
-        norm = jax.vmap(safe_norm)(bends)
-        return (bends * jnp.minimum(1.0, largest / jnp.maximum(norm, 1e-12))[:, None]).reshape(-1), jnp.sqrt(squared)
+        moved = (flat - jnp.linalg.solve(damped, jacobian.T @ error)).reshape(shape)
+        return within_limits(robot, moved).reshape(-1), jnp.sqrt(squared)
 
     def reach(flat, target):
         flat, errors = jax.lax.scan(lambda flat, _: step(flat, target), flat, length=_STEPS)
-        return flat, (cable_lengths(robot, flat.reshape(-1, 2)), errors[-1])
+        return flat, (cable_lengths(robot, flat.reshape(shape)), errors[-1])
 
     return jax.vmap(lambda start: jax.lax.scan(reach, start.reshape(-1), targets)[1])(starts)
 

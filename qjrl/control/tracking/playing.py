@@ -7,7 +7,6 @@ from functools import partial
 from typing import Annotated
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range, configuration
@@ -15,11 +14,12 @@ from qjrl.control.tracking.inversion import PathInversionConfig, path_errors
 from qjrl.control.tracking.paths import PosePath, ShapeConfig
 from qjrl.control.tracking.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
 from qjrl.robot import joint_positions, strand_commands
-from qjrl.robot.verbs import Robot
+from qjrl.robot.plant import PhysicalParameters
+from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.engines import make_stepper
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.simulation.stepping import PhysicalParameters, Stepper
+from qjrl.simulation.stepping import Stepper
 
 
 @configuration
@@ -175,10 +175,10 @@ def _approach(
 ) -> None:
     """From rest at home to rest at the begin of the plans."""
     count, speed = len(performances), float(robot.motor_speed)
-    home = np.asarray(joint_positions(robot, jnp.zeros((robot.num_segments, 2))))
+    start = np.asarray(joint_positions(robot, home(robot)))
     home_lengths = np.zeros(robot.num_cables)
     at_home = _strands(robot, np.tile(home_lengths, (count, 1, 1)))[:, 0]
-    stepper.reset(np.arange(count), np.tile(home, (count, 1)), at_home, PhysicalParameters.nominal(robot, count))
+    stepper.reset(np.arange(count), np.tile(start, (count, 1)), at_home, PhysicalParameters.nominal(robot, count))
     starts = [one.trajectory.at(np.zeros(1))[0] for one in performances]
     ramps = [time_path(straight_path(start), speed, limits, _CALM) if start.any() else None for start in starts]
     longest = max(one.duration if one else 0.0 for one in ramps)  # a plan that begins at home needs none

@@ -9,6 +9,7 @@ from flax import struct
 
 from qjrl.config import Range, configuration
 from qjrl.field_words import show
+from qjrl.robot.kind import Robot
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 from qjrl.robot.unit_hints import length_hint
 
@@ -187,7 +188,7 @@ def _check_hole_angles(cables: CablesConfig) -> None:
 
 
 @struct.dataclass
-class QuaternionArm:
+class QuaternionArm(Robot):
     """An arm as a pytree: lengths, angles and stiffnesses are traced leaves, counts and joint model static."""
 
     crossed_link_length: jax.Array
@@ -223,6 +224,14 @@ class QuaternionArm:
     @property
     def name(self) -> str:
         return self.config.name
+
+    @property
+    def strand_friction(self) -> float:
+        return self.config.strands.friction
+
+    @property
+    def payload(self) -> float:
+        return self.config.mechanics.payload
 
     @property
     def num_segments(self) -> int:

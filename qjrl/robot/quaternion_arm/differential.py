@@ -18,19 +18,7 @@ from jaxtyping import Array, Float
 from qjrl.geometry import batch_last
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
-
-
-@struct.dataclass
-class Tip:
-    """Pose of the tip in the base frame, and how it moves with the bend vectors."""
-
-    position: Float[Array, "3 *batch"]
-    """[m]."""
-    rotation: Float[Array, "3 3 *batch"]
-    velocity: Float[Array, "3 coordinates *batch"]
-    """d position / d coordinate [m/rad]; coordinates in the order of the segments, x before y."""
-    angular_velocity: Float[Array, "3 coordinates *batch"]
-    """Of the tip in the base frame, per coordinate [rad/rad]."""
+from qjrl.robot.tip import Tip
 
 
 @struct.dataclass

@@ -64,10 +64,10 @@ def bend_from_vector(vector: Float[Array, "2"]) -> Float[Array, "2"]:
     return 0.5 * jnp.sinc(safe_norm(vector) / (2.0 * jnp.pi)) * vector
 
 
-def vectors_from_bends(bends: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-    """Bend vectors theta (cos phi, sin phi) [rad] of many bends, on the host: the inverse of `bend_from_vector`."""
-    sine = np.linalg.norm(bends, axis=-1, keepdims=True)
-    return bends * np.where(sine < 1e-8, 2.0, angles_of_bends(bends)[..., None] / np.maximum(sine, 1e-8))
+def vector_from_bend(bend: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Bend vector theta (cos phi, sin phi) [rad] of a bend: the inverse of `bend_from_vector`."""
+    sine = safe_norm(bend)
+    return bend * jnp.where(sine > 1e-9, bend_angle(bend) / jnp.maximum(sine, 1e-9), 2.0)
 
 
 def angles_of_bends(bends: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:

@@ -7,10 +7,8 @@ comes from hard rows, which `mjcf_ties` writes.
 """
 
 import math
-from typing import Annotated
 from xml.etree import ElementTree
 
-from qjrl.config import Range, configuration
 from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf_ties import (
@@ -21,37 +19,15 @@ from qjrl.robot.quaternion_arm.mjcf_ties import (
     height_at_home,
 )
 from qjrl.robot.quaternion_arm.naming import joint_labels, leader, segment_of, strand_name
+from qjrl.robot.solver_options import SolverOptions
 
 # Inertia of the slide [kg]. A height row is soft in proportion to its inverse: at 1 kg the tip rests 0.03 mm below the
 # minimum of the potential energy, at 10 kg 0.005 mm. Small against the hinges' while dH/dtheta stays below 5 mm/rad.
 SLIDE_ARMATURE = 10.0
-# Radius of a joint's limbs, taken together, relative to the link's; of the ball that is a payload [m].
-CHORD_RADIUS, PAYLOAD_RADIUS = 0.3, 0.01
+# Radius of a joint's limbs, taken together, relative to the link's.
+CHORD_RADIUS = 0.3
 # MuJoCo's default friction rows creep; these stick (measured: path dependence of the tip stays after the motion ends).
 STICKING = {"solreffriction": "0.008 1", "solimpfriction": "0.9999 0.9999 0.001 0.5 2"}
-
-
-@configuration
-class SolverOptions:
-    """Numerical settings of the physics: the settled pose must not depend on any of them."""
-
-    timestep: Annotated[float, Range(low=1e-4, high=0.006)] = 0.004
-    """Time step [s]; above 6 ms the strands' stiffness makes the integration chatter."""
-    equality_time_constant: Annotated[float, Range(low=0.001, high=0.1)] = 0.008
-    """First number of solref of the equality rows [s], at least two time steps."""
-    armature_scale: Annotated[float, Range(above=0.0)] = 1.0
-    """Factor on every armature."""
-    damping_scale: Annotated[float, Range(low=0.1, high=100.0)] = 1.0
-    """Factor on the joints' damping: speeds up settling, leaves the equilibrium where it is."""
-    solver_iterations: Annotated[int, Range(low=1, high=100)] = 20
-    """Newton iterations at most."""
-    strand_damping_scale: Annotated[float, Range(low=0.0, high=10.0)] = 1.0
-    """Factor on the strands' damping, which leaves the equilibrium where it is, too."""
-    lumping: Annotated[int, Range(low=1, high=2)] = 1
-    """With 2, strands cross every second joint of a segment twice instead of every joint once, and that joint's slide leads
-    the next one's: the coupling hands on what each would have got itself. The same equilibrium with half the tendon
-    branches: for settling with little strand damping. With all of it the arm chatters, as the implicit damping of one of
-    two equal joints weakens what holds them equal."""
 
 
 def build_mjcf(arm: QuaternionArm, options: SolverOptions = SolverOptions()) -> str:

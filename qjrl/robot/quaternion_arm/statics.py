@@ -10,9 +10,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 
 from qjrl.geometry import cholesky
+from qjrl.robot.equilibrium import Equilibrium
 from qjrl.robot.quaternion_arm.cables import bends_from_cables, strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles, half_angles
 from qjrl.robot.quaternion_arm.description import QuaternionArm
@@ -23,20 +23,6 @@ from qjrl.robot.quaternion_arm.kinematics import frames
 STEPS = 12
 # Of one half angle in one step [rad].
 _LARGEST_STEP = 0.2
-
-
-@struct.dataclass
-class Equilibrium:
-    """Bends at rest, and their slopes."""
-
-    bends: Any
-    """(segments, 2)."""
-    by_gain: Any
-    """(segments, 2) for each unit of the logarithm of the strands' stiffness."""
-    by_tilt: Any
-    """(segments, 2, 2) for each radian by which the base leans about x and y."""
-    by_pull: Any
-    """(segments, 2, strands) for each newton with which a strand pulls besides, as friction does."""
 
 
 def equilibrium(arm: QuaternionArm, lengths: jax.Array) -> Equilibrium:

@@ -15,7 +15,7 @@ def rest(tension: np.ndarray, converged: np.ndarray | None = None) -> SettleResu
     rows, nothing = len(tension), np.zeros((len(tension), 1))
     settled = np.ones(rows, bool) if converged is None else converged
     speed = np.where(settled, 0.0, 0.5)
-    return SettleResult(nothing, nothing, tension, nothing, speed, speed, speed, settled)
+    return SettleResult(ARM, nothing, nothing, tension, nothing, speed, speed, speed, settled)
 
 
 def test_a_taut_arm_is_safe_and_nothing_is_said():

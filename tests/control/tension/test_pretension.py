@@ -22,7 +22,9 @@ def made_up(tension: np.ndarray, settled: bool = True) -> TensionCheck:
     """A check of poses whose strands all carry what is given (n,)."""
     nothing = np.zeros((len(tension), 1))
     strands = np.repeat(tension[:, None], ARM.num_strands, axis=1)
-    rest = SettleResult(nothing, nothing, strands, nothing, tension, tension, tension, np.full(len(tension), settled))
+    rest = SettleResult(
+        ARM, nothing, nothing, strands, nothing, tension, tension, tension, np.full(len(tension), settled)
+    )
     return TensionCheck(ARM, rest, CONFIG.least_tension)
 
 

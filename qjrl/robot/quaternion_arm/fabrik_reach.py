@@ -9,8 +9,8 @@ from flax import struct
 from jaxtyping import Array, Float, Int
 
 from qjrl.geometry.rotations import safe_norm
-from qjrl.robot.verbs import Robot
-from qjrl.solvers.fabrik_model import VirtualArm, angle_between, segment_lengths, stack
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.fabrik_model import VirtualArm, angle_between, segment_lengths, stack
 
 
 @struct.dataclass
@@ -31,7 +31,7 @@ def goal_of(target: Float[Array, "9"]) -> Goal:
 
 
 def reach(
-    robot: Robot, arm: VirtualArm, goal: Goal, tolerance: float, iterations: int
+    robot: QuaternionArm, arm: VirtualArm, goal: Goal, tolerance: float, iterations: int
 ) -> tuple[VirtualArm, Int[Array, ""]]:
     """Reaches forward and backward until the tip is within `tolerance` [m] of P_d; the arm and the iterations spent."""
 
@@ -52,7 +52,7 @@ def tip_distance(arm: VirtualArm, goal: Goal) -> Float[Array, ""]:
     return safe_norm(arm.ends[-1] - goal.position)
 
 
-def reach_forward(robot: Robot, arm: VirtualArm, goal: Goal) -> VirtualArm:
+def reach_forward(robot: QuaternionArm, arm: VirtualArm, goal: Goal) -> VirtualArm:
     """From the tip to the base, Fig. 4b-c: the tip is put on the goal, each Z_b points from the P_j before it.
 
     The paper does not say where the first segment's Z_b points, before which there is no P_j: ours stays upright.
@@ -72,7 +72,7 @@ def reach_forward(robot: Robot, arm: VirtualArm, goal: Goal) -> VirtualArm:
     return stack(rows[::-1])
 
 
-def reach_backward(robot: Robot, arm: VirtualArm, goal: Goal) -> VirtualArm:
+def reach_backward(robot: QuaternionArm, arm: VirtualArm, goal: Goal) -> VirtualArm:
     """From the base to the tip, Fig. 4d-e: the same with the base put at [0, 0, 0], each Z_e points to the P_j after it.
 
     The last segment's Z_e, after which there is no P_j, stays Z_d (ours).

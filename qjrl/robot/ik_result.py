@@ -1,6 +1,7 @@
 """What every inverse-kinematics solver returns, and the check of what it is asked."""
 
 import enum
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,9 +10,9 @@ from flax import struct
 
 from qjrl.geometry.pose import orientation_error, position_error
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.kinds import require_robot
+from qjrl.robot.kinds import configuration_shape, kind_of, require_robot
 from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions, real_numbers
-from qjrl.robot.verbs import Robot, bends_from_cables, strand_tension
+from qjrl.robot.verbs import Robot, configuration_from_cables, is_within_limits, strand_tension
 
 
 class Status(enum.IntEnum):
@@ -77,18 +78,23 @@ def check_targets(robot: Robot, targets) -> np.ndarray:
     return targets
 
 
-def check_initial_bends(robot: Robot, bends, count: int) -> np.ndarray:
-    """Bends to start from as float64 (count, segments, 2), from one row a target or one for all.
+def check_initial_configurations(robot: Robot, configurations: Any, count: int) -> np.ndarray:
+    """Configurations to start from as float64 (count, ...), from one a target or one for all.
 
     Raises:
-        ValueError: wrong shape, non-finite values, or |a| of 1 or more.
+        ValueError: wrong shape, or what no robot of the kind can have, such as bends of 180 degrees.
     """
-    bends, expected = np.asarray(real_numbers(bends, "initial_bends"), np.float64), (robot.num_segments, 2)
-    if bends.shape not in (expected, (count, *expected)):
-        raise ValueError(f"initial_bends: got shape {bends.shape}, allowed: {expected} or {(count, *expected)}")
-    if not np.all(np.linalg.norm(bends, axis=-1) < 1.0):
-        raise ValueError("initial_bends: got non-finite values or a length of 1 or more, allowed: sin(theta/2) below 1")
-    return np.broadcast_to(bends, (count, *expected))
+    where, expected = "initial_bends", configuration_shape(robot)
+    found = np.asarray(real_numbers(configurations, where), np.float64)
+    if found.shape not in (expected, (count, *expected)):
+        raise ValueError(f"{where}: got shape {found.shape}, allowed: {expected} or {(count, *expected)}")
+    if not np.all(np.isfinite(found)):
+        raise ValueError(f"{where}: got non-finite values, allowed: finite numbers")
+    rows = found.reshape(-1, *expected)
+    if (check := kind_of(robot).check) is not None:
+        for row in rows:
+            check(robot, row)
+    return np.broadcast_to(found, (count, *expected))
 
 
 def describe_solution(
@@ -98,19 +104,22 @@ def describe_solution(
     poses = jax.vmap(pose_of)(lengths)
     position = jax.vmap(position_error)(poses, targets)
     orientation = jax.vmap(orientation_error)(poses, targets)
-    bends = jax.vmap(lambda row: bends_from_cables(robot, row))(lengths)
-    is_inside = jnp.max(jnp.linalg.norm(bends, axis=-1), axis=-1) <= jnp.sin(robot.bend_limit / 2.0) + 1e-9
+    configurations = jax.vmap(lambda row: configuration_from_cables(robot, row))(lengths)
+    is_inside = jax.vmap(lambda one: is_within_limits(robot, one))(configurations)
     is_near = (position <= tolerances[0]) & (orientation <= tolerances[1])
     status = jnp.where(is_inside, jnp.where(is_near, Status.CONVERGED, Status.ITERATION_LIMIT), Status.OUTSIDE_LIMITS)
     tension = jax.vmap(lambda row: least_tension(robot, row))(lengths)
-    return SolveResult(lengths, bends, position, orientation, is_near & is_inside, status, steps, tension)
+    return SolveResult(lengths, configurations, position, orientation, is_near & is_inside, status, steps, tension)
 
 
 def least_tension(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Tension of the least loaded strand [N], see `SolveResult.least_tension`, at cable lengths (num_cables,) [m].
 
-    Half the steps of statics leave this strand's tension within 1e-6 N, and double the speed.
+    Half the steps of statics leave this strand's tension within 1e-6 N, and double the speed. A kind of robot without
+    statics says nothing of it: not a number.
     """
+    if kind_of(robot).strand_tension is None:
+        return jnp.full((), jnp.nan, lengths.dtype)
     return jnp.min(strand_tension(robot, lengths, _STEPS))
 
 

@@ -6,8 +6,8 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from qjrl.geometry.rotations import safe_norm
+from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import bend_angle, height_of_cosine, joint_transform
-from qjrl.robot.verbs import Robot
 
 
 @struct.dataclass
@@ -28,7 +28,7 @@ class VirtualArm:
     """theta_k of one joint of each segment [rad]."""
 
 
-def virtual_arm(robot: Robot, bends: Float[Array, "segments 2"]) -> VirtualArm:
+def virtual_arm(robot: QuaternionArm, bends: Float[Array, "segments 2"]) -> VirtualArm:
     """The virtual model of a configuration, anchored at the base."""
     base, rotation, rows = jnp.zeros(3, bends.dtype), jnp.eye(3, dtype=bends.dtype), []
     for count, bend in zip(robot.joints_per_segment, bends, strict=True):
@@ -41,7 +41,9 @@ def virtual_arm(robot: Robot, bends: Float[Array, "segments 2"]) -> VirtualArm:
     return stack(rows)
 
 
-def segment_lengths(robot: Robot, count: int, angle: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def segment_lengths(
+    robot: QuaternionArm, count: int, angle: Float[Array, ""]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """l_1 from P_b to P_j and l_2 from P_j to P_e of a segment of `count` joints bent by `angle` each [m].
 
     They grow without bound towards m theta = 180 degrees, where the two lines are parallel; `angle` is held below it.
@@ -69,7 +71,7 @@ def _even(count: int, angle, height, link):
     return links + 2.0 * height * sum(jnp.cos((2 * i - 1) / 2.0 * angle) for i in range(1, count // 2 + 1))
 
 
-def state_of(robot: Robot, arm: VirtualArm) -> Float[Array, "segments 2"]:
+def state_of(robot: QuaternionArm, arm: VirtualArm) -> Float[Array, "segments 2"]:
     """Bends of a virtual arm anchored at the base, Fig. 4f: each Z_e seen from the frame of its segment's base."""
     rotation, bends = jnp.eye(3, dtype=arm.ends.dtype), []
     for count, direction in zip(robot.joints_per_segment, arm.end_directions, strict=True):
@@ -81,7 +83,7 @@ def state_of(robot: Robot, arm: VirtualArm) -> Float[Array, "segments 2"]:
     return jnp.stack(bends)
 
 
-def tip_x_axis(robot: Robot, bends: Float[Array, "segments 2"]) -> Float[Array, "3"]:
+def tip_x_axis(robot: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "3"]:
     """X_end: the first column of the tip's rotation."""
     rotation = jnp.eye(3, dtype=bends.dtype)
     for count, bend in zip(robot.joints_per_segment, bends, strict=True):

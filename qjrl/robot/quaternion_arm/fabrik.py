@@ -11,13 +11,15 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from qjrl.config import Range, configuration
+from qjrl.config import ConfigError, Range, configuration
+from qjrl.robot.batching import in_batches
 from qjrl.robot.forward_model import pose_function
-from qjrl.robot.verbs import Robot, cable_lengths
-from qjrl.solvers.batching import in_batches
-from qjrl.solvers.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
-from qjrl.solvers.fabrik_reach import Goal, goal_of, reach, tip_distance
-from qjrl.solvers.result import SolveResult, Status, check_initial_bends, check_targets, describe_solution
+from qjrl.robot.ik_result import SolveResult, Status, check_initial_configurations, check_targets, describe_solution
+from qjrl.robot.kinds import require_robot
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
+from qjrl.robot.quaternion_arm.fabrik_reach import Goal, goal_of, reach, tip_distance
+from qjrl.robot.verbs import cable_lengths
 
 
 @configuration
@@ -43,7 +45,7 @@ class FabrikConfig:
 
 
 def solve_fabrik(
-    robot: Robot, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+    robot: QuaternionArm, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
 ) -> SolveResult:
     """Cable lengths by FABRIK from the current state, in the arm's nominal kinematics.
 
@@ -59,9 +61,16 @@ def solve_fabrik(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
+    _require_arm(robot)
     checked, ends = check_targets(robot, targets), watch_fabrik(robot, targets, initial_bends, config)
     function = functools.partial(_evaluate_rows, config, robot)
     return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, ends))
+
+
+def _require_arm(robot: Any) -> None:
+    require_robot(robot)
+    if not isinstance(robot, QuaternionArm):
+        raise ConfigError(f"FABRIK: got a robot of kind {robot.kind}, allowed: quaternion_arm")
 
 
 @struct.dataclass
@@ -85,7 +94,7 @@ class Progress:
 
 
 def watch_fabrik(
-    robot: Robot, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+    robot: QuaternionArm, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
 ) -> Progress:
     """How FABRIK ends at every target: turns spent, whether it is near or has stalled; joint limits are ignored.
 
@@ -95,7 +104,7 @@ def watch_fabrik(
     """
     checked = check_targets(robot, targets)
     home = np.zeros((robot.num_segments, 2))
-    bends = check_initial_bends(robot, home if initial_bends is None else initial_bends, len(checked))
+    bends = check_initial_configurations(robot, home if initial_bends is None else initial_bends, len(checked))
     state = in_batches(functools.partial(_begin_rows, config, robot), config.batch_size, bends)
     for limit in _looks(config.outer_iterations):
         rows = np.flatnonzero(_is_going(config, state, limit))
@@ -128,7 +137,7 @@ def _with_rows(state: Progress, rows: np.ndarray, moved: Progress) -> Progress:
 
 
 def advance_one(
-    robot: Robot, config: FabrikConfig, limit: Int[Array, ""], target: Float[Array, "9"], state: Progress
+    robot: QuaternionArm, config: FabrikConfig, limit: Int[Array, ""], target: Float[Array, "9"], state: Progress
 ) -> Progress:
     """The outer iteration, until the pose is reached, nothing moves, or `limit` turns are spent."""
     goal = goal_of(target)
@@ -137,7 +146,7 @@ def advance_one(
     )
 
 
-def roll_error(robot: Robot, arm: VirtualArm, goal: Goal) -> Float[Array, ""]:
+def roll_error(robot: QuaternionArm, arm: VirtualArm, goal: Goal) -> Float[Array, ""]:
     """psi between X_end and X_d [rad]: Eq. 13, with the sign of the turn about Z_d that closes it (ours)."""
     x_end = tip_x_axis(robot, state_of(robot, arm))
     return jnp.sign(jnp.dot(goal.z_axis, jnp.cross(x_end, goal.x_axis))) * angle_between(x_end, goal.x_axis)
@@ -169,14 +178,14 @@ def _is_going(config: FabrikConfig, state: Progress, limit) -> Any:
     return is_open & ~state.has_stalled if config.reversal == 0.0 else is_open
 
 
-def _begin(robot: Robot, config: FabrikConfig, bends: jax.Array) -> Progress:
+def _begin(robot: QuaternionArm, config: FabrikConfig, bends: jax.Array) -> Progress:
     none, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     relaxation = jnp.asarray(config.relaxation, bends.dtype)
     arm = virtual_arm(robot, bends)
     return Progress(arm, relaxation, jnp.full_like(relaxation, jnp.inf), arm.joints, zero, zero, none, none)
 
 
-def _iterate(robot: Robot, config: FabrikConfig, goal: Goal, state: Progress) -> Progress:
+def _iterate(robot: QuaternionArm, config: FabrikConfig, goal: Goal, state: Progress) -> Progress:
     """One outer iteration: reach the goal's position and direction, then turn by lambda psi what is not yet there."""
     arm, steps = reach(robot, state.arm, goal, _MARGIN * config.position_tolerance, config.inner_iterations)
     roll = roll_error(robot, arm, goal)
@@ -209,17 +218,17 @@ def _look(config: FabrikConfig, state: Progress, arm: VirtualArm, roll: jax.Arra
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _begin_rows(config: FabrikConfig, robot: Robot, bends: jax.Array) -> Progress:
+def _begin_rows(config: FabrikConfig, robot: QuaternionArm, bends: jax.Array) -> Progress:
     return jax.vmap(lambda start: _begin(robot, config, start))(bends)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _advance_rows(config: FabrikConfig, robot: Robot, limit, targets: jax.Array, states: Progress) -> Progress:
+def _advance_rows(config: FabrikConfig, robot: QuaternionArm, limit, targets: jax.Array, states: Progress) -> Progress:
     return jax.vmap(lambda target, state: advance_one(robot, config, limit, target, state))(targets, states)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _evaluate_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, ends: Progress) -> SolveResult:
+def _evaluate_rows(config: FabrikConfig, robot: QuaternionArm, targets: jax.Array, ends: Progress) -> SolveResult:
     states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
@@ -228,7 +237,7 @@ def _evaluate_rows(config: FabrikConfig, robot: Robot, targets: jax.Array, ends:
     return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
 
 
-def _anchored_state(robot: Robot, end: Progress, target: jax.Array) -> jax.Array:
+def _anchored_state(robot: QuaternionArm, end: Progress, target: jax.Array) -> jax.Array:
     """Bends of the end; where it was just turned once more, the arm is put back on its base by one more reach."""
     goal = goal_of(target)
     anchored, _ = reach(robot, end.arm, goal, 0.0, 1)

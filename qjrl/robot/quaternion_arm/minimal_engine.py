@@ -14,13 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qjrl.robot import strand_commands, strand_lengths
+from qjrl.robot.plant import Guarded, PhysicalParameters, PlantState, guarded, tilted
+from qjrl.robot.quaternion_arm.cables import strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles
+from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import Load, joint_coordinates, tip_pose
-from qjrl.robot.verbs import Robot
-from qjrl.simulation.engine import Guarded, guarded
-from qjrl.simulation.minimal_step import MinimalState, Physics, minimal_steps, strand_tension
-from qjrl.simulation.stepping import PhysicalParameters, PlantState, tilted
+from qjrl.robot.quaternion_arm.minimal_step import MinimalState, Physics, minimal_steps, strand_tension
 
 
 @struct.dataclass
@@ -38,7 +37,7 @@ class MinimalArms:
 class MinimalEngine:
     """See `engine.Engine`; the robot's numbers are float32."""
 
-    robot: Robot
+    robot: QuaternionArm
     timestep: float = struct.field(pytree_node=False)
 
     def home(self, parameters: PhysicalParameters) -> MinimalArms:
@@ -96,7 +95,7 @@ class MinimalEngine:
         return jax.vmap(of_one, in_axes=-1, out_axes=-1)(half_angles)
 
 
-def _physics(robot: Robot, parameters: PhysicalParameters) -> Physics:
+def _physics(robot: QuaternionArm, parameters: PhysicalParameters) -> Physics:
     """What differs between arms, one row each, float32."""
     strands, mechanics = robot.config.strands, robot.config.mechanics
     load = Load(

@@ -1,0 +1,73 @@
+"""The stand-in that is simulated to bring an arm to rest: its forces, and the inertia that gets there soonest.
+
+It has the arm's springs, strands and weights, but hinges with an armature for which the stiffest mode turns by a given
+phase in a time step, masses so light that they hardly count, under as much more gravity, and no damping.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from qjrl.robot.kind import StandIn
+from qjrl.robot.quaternion_arm.cables import cable_matrix
+from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
+from qjrl.robot.quaternion_arm.joint import height_of_cosine
+from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE, build_mjcf
+from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
+from qjrl.robot.solver_options import SolverOptions
+
+# Inertia of the masses at most, relative to the armatures'.
+_LIGHT = 0.1
+# Inertia of a joint's slide, seen from its half angle where the height changes most, relative to its hinges'.
+_SLIDE_SHARE = 0.5
+
+
+def stand_in(arm: QuaternionArm, options: SolverOptions, phase: float) -> StandIn:
+    """What is simulated in the arm's place.
+
+    Args:
+        options: of the physics; armature and strand damping are the stand-in's own.
+        phase: of the stiffest mode at home in one time step [rad].
+    """
+    inertia = 2.0 * np.repeat(arm.joints_per_segment, 2)  # of a half angle, for each unit of its hinges' armature
+    modes = np.linalg.eigvalsh(_stiffness(arm) / np.sqrt(np.outer(inertia, inertia)))
+    armature = modes[-1] * (options.timestep / phase) ** 2
+    steepest = _steepest_height(arm)
+    slide = _SLIDE_SHARE * 2.0 * armature / steepest**2 if steepest > 0.0 else SLIDE_ARMATURE
+    own = dataclasses.replace(options, armature_scale=slide / SLIDE_ARMATURE, strand_damping_scale=0.0)
+    mjcf = build_mjcf(_light(arm, armature, own.armature_scale), own)
+    return StandIn(mjcf, float(modes[0] / armature))
+
+
+def _stiffness(arm: QuaternionArm) -> np.ndarray:
+    """(coordinates, coordinates) against half angles at home [N m/rad]: two taut strands a cable, and hinges."""
+    slopes = np.asarray(cable_matrix(arm), np.float64)
+    return 2.0 * float(arm.strand_stiffness) * slopes.T @ slopes + np.diag(hinge_stiffness(arm))
+
+
+def _steepest_height(arm: QuaternionArm) -> float:
+    """Largest change of a joint's height with its half angle, up to the stop [m/rad]; 0 for the spherical joint."""
+    joint = arm.config.joint
+    half = np.linspace(0.0, math.radians(joint.bend_limit_deg + joint.stop_margin_deg) / 2.0, 50)
+    heights = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, np.cos(half))
+    return float(np.abs(np.gradient(heights, half)).max()) if arm.joint_model == "rolling" else 0.0
+
+
+def _light(arm: QuaternionArm, armature: float, scale: float) -> QuaternionArm:
+    """The arm with an armature [kg m^2] that is multiplied by `scale` later, light masses and no damping."""
+    config, mechanics = arm.config, arm.config.mechanics
+    length = arm.num_joints * (height_at_home(config.joint) + config.link_length) + mechanics.link_radius
+    mass = arm.num_joints * (mechanics.joint_mass + mechanics.link_mass) + mechanics.payload
+    lightness = min(1.0, _LIGHT * armature / (2.0 * arm.num_joints * mass * length**2))  # all of it at the tip at most
+    stand_in = dataclasses.replace(
+        mechanics,
+        joint_mass=lightness * mechanics.joint_mass,
+        link_mass=lightness * mechanics.link_mass,
+        payload=lightness * mechanics.payload,
+        gravity=tuple(component / lightness for component in mechanics.gravity),
+        armature=armature / scale,
+        joint_damping=0.0,
+    )
+    return dataclasses.replace(arm, config=dataclasses.replace(config, mechanics=stand_in))
