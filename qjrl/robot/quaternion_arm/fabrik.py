@@ -45,7 +45,7 @@ class FabrikConfig:
 
 
 def solve_fabrik(
-    robot: QuaternionArm, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+    robot: Any, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
 ) -> SolveResult:
     """Cable lengths by FABRIK from the current state, in the arm's nominal kinematics.
 
@@ -94,7 +94,7 @@ class Progress:
 
 
 def watch_fabrik(
-    robot: QuaternionArm, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
+    robot: Any, targets: Any, initial_bends: Any = None, config: FabrikConfig = FabrikConfig()
 ) -> Progress:
     """How FABRIK ends at every target: turns spent, whether it is near or has stalled; joint limits are ignored.
 
@@ -102,6 +102,7 @@ def watch_fabrik(
         targets: (n, 9) poses [m, -].
         initial_bends: as for `solve_fabrik`.
     """
+    _require_arm(robot)
     checked = check_targets(robot, targets)
     home = np.zeros((robot.num_segments, 2))
     bends = check_initial_configurations(robot, home if initial_bends is None else initial_bends, len(checked))
