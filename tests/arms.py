@@ -9,6 +9,7 @@ import numpy as np
 
 from qjrl.config import conf_folder, read_yaml
 from qjrl.robot import bends_from_angles, load_robot, robot_from_mapping
+from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
 from qjrl.robot.verbs import Robot
 
 SHIPPED = sorted(path.stem for path in (conf_folder() / "robot").glob("*.yaml"))
@@ -16,9 +17,14 @@ MADE_UP = ["rolling_312", "spherical_312"]
 ARMS = [*SHIPPED, *MADE_UP]
 
 
-def arm_named(name: str) -> Robot:
+def arm_named(name: str) -> QuaternionArm:
     """A shipped arm, or one of three segments with oblique hole pairs, a payload and tensioners."""
-    return robot_from_mapping(made_up_mapping(name)) if name in MADE_UP else load_robot(name)
+    return arm_of(made_up_mapping(name)) if name in MADE_UP else require_arm(load_robot(name), "a test")
+
+
+def arm_of(mapping: dict[str, Any]) -> QuaternionArm:
+    """The arm of a description."""
+    return require_arm(robot_from_mapping(mapping), "a test")
 
 
 def made_up_mapping(name: str) -> dict[str, Any]:

@@ -78,7 +78,7 @@ class Export:
     """Parity, accuracy, latency."""
 
 
-def held_out_rows(dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
+def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any) -> dict[str, np.ndarray]:
     """The settled rows that the fit in `forward_model` never saw.
 
     Args:

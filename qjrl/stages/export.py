@@ -30,7 +30,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     """Write `*.stablehlo`, `forward_model.onnx`, `contract.json` and `metrics.json`, or nothing if a check fails."""
     robot = robot_from_mapping(config.robot)
     model = load_forward_model(inputs["forward_model"] / "model", robot)
-    held_out = held_out_rows(inputs["sample"], inputs["forward_model"], model.config)
+    held_out = held_out_rows(robot, inputs["sample"], inputs["forward_model"], model.config)
     with progress.compiling("the exported functions and their checks"):
         export = export_controller(robot, model, config.export, held_out, config.seed)
     provenance = read_provenance(out)

@@ -66,7 +66,9 @@ def test_a_description_of_the_kind_is_checked_like_any_other(arm):
 def test_what_the_kind_lacks_is_said_in_one_line(arm):
     with pytest.raises(ConfigError, match=r"robot kind planar_arm: offers no equilibrium, it offers home, limits,"):
         equilibrium(arm, jnp.zeros(2))
-    with pytest.raises(ConfigError, match="FABRIK: got a robot of kind planar_arm, allowed: quaternion_arm"):
+    with pytest.raises(
+        ConfigError, match="FABRIK: got a robot of kind planar_arm, allowed: a robot of kind quaternion_arm"
+    ):
         solve_fabrik(arm, poses_of(arm, random_angles(1)))
     with pytest.raises(ConfigError, match="robot kind planar_arm: offers no minimal_engine"):
         make_engine(arm, EngineConfig("minimal"))

@@ -1,13 +1,13 @@
 """What a quaternion-joint arm is: the values of its YAML, checked, and the pytree that the kinematics read."""
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import jax
 import jax.numpy as jnp
 from flax import struct
 
-from qjrl.config import Range, configuration
+from qjrl.config import ConfigError, Range, configuration
 from qjrl.field_words import show
 from qjrl.robot.kind import Robot
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
@@ -281,3 +281,17 @@ def arm_from_config(config: QuaternionArmConfig) -> QuaternionArm:
         joints_per_segment=config.joints_per_segment,
         joint_model="spherical" if is_spherical else "rolling",
     )
+
+
+def require_arm(robot: Any, who: str) -> QuaternionArm:
+    """The robot, if it is a quaternion-joint arm.
+
+    Args:
+        who: what works for this kind alone, for the message.
+    Raises:
+        ConfigError: it is of another kind.
+    """
+    if not isinstance(robot, QuaternionArm):
+        kind = f"a robot of kind {robot.kind}" if isinstance(robot, Robot) else show(robot)
+        raise ConfigError(f"{who}: got {kind}, allowed: a robot of kind quaternion_arm")
+    return robot

@@ -11,12 +11,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Array, Bool, Float, Int
 
-from qjrl.config import ConfigError, Range, configuration
+from qjrl.config import Range, configuration
 from qjrl.robot.batching import in_batches
 from qjrl.robot.forward_model import pose_function
 from qjrl.robot.ik_result import SolveResult, Status, check_initial_configurations, check_targets, describe_solution
-from qjrl.robot.kinds import require_robot
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
 from qjrl.robot.quaternion_arm.fabrik_reach import Goal, goal_of, reach, tip_distance
 from qjrl.robot.verbs import cable_lengths
@@ -61,16 +60,10 @@ def solve_fabrik(
     Raises:
         ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
     """
-    _require_arm(robot)
+    require_arm(robot, "FABRIK")
     checked, ends = check_targets(robot, targets), watch_fabrik(robot, targets, initial_bends, config)
     function = functools.partial(_evaluate_rows, config, robot)
     return jax.tree.map(jnp.asarray, in_batches(function, config.batch_size, checked, ends))
-
-
-def _require_arm(robot: Any) -> None:
-    require_robot(robot)
-    if not isinstance(robot, QuaternionArm):
-        raise ConfigError(f"FABRIK: got a robot of kind {robot.kind}, allowed: quaternion_arm")
 
 
 @struct.dataclass
@@ -102,7 +95,7 @@ def watch_fabrik(
         targets: (n, 9) poses [m, -].
         initial_bends: as for `solve_fabrik`.
     """
-    _require_arm(robot)
+    require_arm(robot, "FABRIK")
     checked = check_targets(robot, targets)
     home = np.zeros((robot.num_segments, 2))
     bends = check_initial_configurations(robot, home if initial_bends is None else initial_bends, len(checked))

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from flax import struct
 
 from qjrl.geometry.vectors import IDENTITY, ZERO, Matrix, Symmetric, Vector, add, both_ways, square, times
-from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.plant import PAYLOAD_RADIUS
+from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE
 from qjrl.robot.quaternion_arm.segment_bodies import (
     Carried,
