@@ -58,10 +58,16 @@ def make_plan(env: Env, config: PPOConfig, num_envs: int, num_iterations: int, m
 def begin(plan: Plan, env: Env, seed: int) -> TrainerState:
     """The untrained state, the envs spread over the phases of an episode where `env` knows how."""
     sizes = {name: dict(plan.sizes)[name] for name in (ACTOR_KEY, CRITIC_KEY)}
-    reset = getattr(env, "spread", env.reset)
     key = key_for(seed, "training arms")
     keys = jax.vmap(functools.partial(jax.random.fold_in, key))(jnp.arange(plan.num_envs))
-    envs = jax.shard_map(reset, mesh=plan.mesh, in_specs=P(ENVS), out_specs=P(ENVS), check_vma=False)(keys)
+    on_each_device = jax.shard_map(
+        lambda env, keys: getattr(env, "spread", env.reset)(keys),
+        mesh=plan.mesh,
+        in_specs=(P(), P(ENVS)),  # an env that is closed over keeps the devices of outside, which gathers refuse
+        out_specs=P(ENVS),
+        check_vma=False,
+    )
+    envs = on_each_device(env, keys)
     parameters = initial_parameters(
         plan.networks, plan.config.initial_std, key_for(seed, "networks"), plan.config.starts_at_zero
     )
