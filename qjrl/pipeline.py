@@ -42,27 +42,27 @@ STAGES: dict[str, Stage] = {
         writes="compare",
     ),
     "robustness": Stage(
-        "qjrl.stages.robustness",
+        "qjrl.studies.robustness.stage",
         "evaluate base, baselines and policy under disturbances",
         reads=("ik", "policy"),
         writes="robustness",
         default=False,
     ),
     "residual": Stage(
-        "qjrl.stages.residual",
+        "qjrl.studies.residual.stage",
         "find what the policy does over time, what makes its base err, and what in its training matters",
         reads=("ik", "policy"),
         writes="residual",
         default=False,
     ),
     "open_loop": Stage(
-        "qjrl.stages.open_loop",
+        "qjrl.studies.open_loop.stage",
         "settle FABRIK's, least squares' and the learned IK's commands",
         reads=("forward_model",),
         writes="open_loop",
         default=False,
     ),
-    "model_study": Stage("qjrl.stages.model_study", "compare forward models", ("sample",), "model_study", False),
+    "model_study": Stage("qjrl.studies.model_study.stage", "compare forward models", ("sample",), "model_study", False),
     "export": Stage(
         "qjrl.stages.export",
         "write forward model and inverse kinematics as files that run without qjrl",
@@ -72,7 +72,7 @@ STAGES: dict[str, Stage] = {
     ),
     "deploy": Stage("qjrl.stages.deploy", "run the controller in real time", ("ik", "policy"), "deploy", False),
     "accuracy": Stage(
-        "qjrl.stages.accuracy",
+        "qjrl.studies.accuracy.stage",
         "evaluate every controller open loop and with pose measurements",
         reads=("sample", "forward_model"),
         writes="accuracy",
@@ -87,17 +87,22 @@ STAGES: dict[str, Stage] = {
     "pretension": Stage("qjrl.stages.pretension", "find the least pretension", writes="pretension", default=False),
     "track": Stage("qjrl.stages.track", "follow a path of poses in the physics", ("forward_model",), "track", False),
     "workspace": Stage(
-        "qjrl.stages.workspace", "measure and compare what the tips of arms reach", writes="workspace", default=False
+        "qjrl.studies.workspace.stage",
+        "measure and compare what the tips of arms reach",
+        writes="workspace",
+        default=False,
     ),
     "elliptical_deviation": Stage(
-        "qjrl.stages.elliptical_deviation",
+        "qjrl.studies.elliptical_deviation.stage",
         "measure how far the joint's path leaves the circle, and what it does to the arm",
         writes="elliptical_deviation",
         default=False,
     ),
-    "jitter": Stage("qjrl.stages.jitter", "measure what moves at rest, in C and MJX", writes="jitter", default=False),
+    "jitter": Stage(
+        "qjrl.studies.jitter.stage", "measure what moves at rest, in C and MJX", writes="jitter", default=False
+    ),
     "table3": Stage(
-        "qjrl.stages.table3",
+        "qjrl.studies.table3.stage",
         "solve the paper's inverse-kinematics protocol by FABRIK and least squares",
         writes="table3",
         default=False,

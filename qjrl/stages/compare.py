@@ -7,25 +7,25 @@ from pathlib import Path
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis import metrics as measures
-from qjrl.analysis.controllers import sections
-from qjrl.analysis.controllers.answers import outcome_of
-from qjrl.analysis.controllers.outcomes import Outcome, controller_label
-from qjrl.analysis.report import Report, write_report
-from qjrl.analysis.report_html import Number
-from qjrl.analysis.tables import as_text
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.policy_training import PolicyConfig, check_control_period
+from qjrl.control.target_files import TARGET_COLUMNS, read_targets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.measured import read_metrics, read_progress
 from qjrl.provenance import read_provenance
 from qjrl.records import NUMBER, Kinds
+from qjrl.report import metrics as measures
+from qjrl.report.answers import outcome_of
+from qjrl.report.compare import sections
+from qjrl.report.html import Number
+from qjrl.report.outcomes import Outcome, controller_label
+from qjrl.report.page import Report, write_report
+from qjrl.report.tables import as_text
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.stages.ik import TARGET_COLUMNS, read_targets
 
 log = logging.getLogger(__name__)
 

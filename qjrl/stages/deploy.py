@@ -9,12 +9,6 @@ import jax
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.deployed.figures import errors_over_time, latency_histogram
-from qjrl.analysis.deployed.report import deployment_report, episode_table, headline, target_mark
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
-from qjrl.analysis.tracking.viewer import track_viewer
 from qjrl.config import ConfigError, as_mapping
 from qjrl.control.bases import command_column, environment_of
 from qjrl.control.deployable import ControllerFunctions, checked_policy, controller_functions
@@ -22,6 +16,7 @@ from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.evaluation import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.simulated_arm import SimulatedArm, rehearse
+from qjrl.control.target_files import read_targets
 from qjrl.deployment import onnx_model
 from qjrl.deployment.controller import deployed_controller
 from qjrl.deployment.controller_export import ControllerExport, export_files, write_controller
@@ -33,11 +28,16 @@ from qjrl.deployment.safety import ASKED, SafeController, reading_limits
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.provenance import read_provenance
+from qjrl.report.canvas import save_png
+from qjrl.report.deploy.figures import errors_over_time, latency_histogram
+from qjrl.report.deploy.report import deployment_report, episode_table, headline, target_mark
+from qjrl.report.page import write_report
+from qjrl.report.tables import as_text
+from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.arm_drawing import draw_arm
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.description import description_text
 from qjrl.control.targets import draw_bends
+from qjrl.report.arm_drawing import draw_arm
+from qjrl.report.canvas import save_png
+from qjrl.report.description import description_text
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about

@@ -3,17 +3,14 @@
 import dataclasses
 import logging
 import time
-from collections.abc import Collection
 from pathlib import Path
 
-import numpy as np
-
 from qjrl import artifacts, progress
-from qjrl.analysis.controllers.answers import outcomes_of_answers, predicted_errors
-from qjrl.analysis.metrics import metrics_of
 from qjrl.control.inversion import IKConfig, settle_answers, solve_both_sets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
+from qjrl.report.answers import outcomes_of_answers, predicted_errors
+from qjrl.report.metrics import metrics_of
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
@@ -27,19 +24,6 @@ class Config:
     simulation: SettleConfig
     ik: IKConfig
     seed: int
-
-
-TARGET_COLUMNS = ("target_set", "target", "nominal_lengths", "learned_lengths")
-"""Of both files: targets, and what the closed form and the model answer."""
-
-
-def read_targets(path: Path, names: Collection[str] = TARGET_COLUMNS) -> dict[str, np.ndarray]:
-    """The columns of `held_out.npz` or `bank.npz`.
-
-    Raises:
-        ArtifactError: the file is damaged or lacks one of `names`.
-    """
-    return artifacts.load_columns(path, names, "what stage ik writes")
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> None:

@@ -10,12 +10,12 @@ import numpy as np
 
 from qjrl import artifacts
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, check_training, train_policy
+from qjrl.control.target_files import read_targets
 from qjrl.learning import processes
 from qjrl.measured import read_progress
 from qjrl.records import NUMBER, check_record
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
-from qjrl.stages.ik import read_targets
 
 log = logging.getLogger(__name__)
 

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.pretension import maps, report
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
 from qjrl.control.tension import pretension as search
 from qjrl.control.tension import pretension_numbers as numbers
-from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import cable_quantity, read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
+from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.provenance import read_provenance
+from qjrl.report.canvas import save_png
+from qjrl.report.page import write_report
+from qjrl.report.pretension import maps, report
+from qjrl.report.tables import as_text
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
-from qjrl.analysis.tracking.figures import track_pictures
-from qjrl.analysis.tracking.report import headline, track_report
-from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
-from qjrl.analysis.tracking.viewer import track_viewer
+from qjrl.control.path.paths import make_path, path_file
 from qjrl.control.tension.path import cable_quantity
 from qjrl.control.tracking.moving import moving_breaches, moving_message
-from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Evaluated, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
 from qjrl.provenance import read_provenance
+from qjrl.report.canvas import save_png
+from qjrl.report.page import write_report
+from qjrl.report.tables import as_text
+from qjrl.report.track.figures import track_pictures
+from qjrl.report.track.report import headline, track_report
+from qjrl.report.track.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
+from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot

@@ -14,9 +14,6 @@ from qjrl.config import as_mapping, conf_folder, read_yaml
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.studies.accuracy import AccuracyConfig
-from qjrl.control.studies.feasibility import UnreachableConfig
-from qjrl.control.studies.open_loop import OpenLoopConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig
@@ -29,7 +26,11 @@ from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.sampling import SampleConfig
 from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
 from qjrl.solvers.least_squares import RoundConfig
-from qjrl.stages import accuracy, open_loop
+from qjrl.studies.accuracy import stage as accuracy
+from qjrl.studies.accuracy.feasibility import UnreachableConfig
+from qjrl.studies.accuracy.measure import AccuracyConfig
+from qjrl.studies.open_loop import stage as open_loop
+from qjrl.studies.open_loop.measure import OpenLoopConfig
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {

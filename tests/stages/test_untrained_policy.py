@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from qjrl import artifacts
-from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.config import conf_folder, read_yaml
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
+from qjrl.report.outcomes import Outcome
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.engine import EngineConfig
 from qjrl.stages import compare, policy
