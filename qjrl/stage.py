@@ -2,6 +2,7 @@
 
 A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
 ``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
+It returns an `Output`, which is written there; what it writes to `out` itself is what it goes on from when interrupted.
 
 Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
 reads beside them), `packages` (what -> which, of extras that change what it writes);
@@ -31,6 +32,7 @@ from qjrl.artifacts import ArtifactError
 from qjrl.config import as_mapping, identity_of
 from qjrl.machine import MachineError
 from qjrl.provenance import provenance, read_provenance
+from qjrl.report.output import write_output
 
 log = logging.getLogger(__name__)
 
@@ -122,7 +124,7 @@ def run_stage(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
     record = provenance(as_mapping(config), getattr(config, "seed", None), identity["robot_hash"])
     artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
     start = time.monotonic()
-    stages[name].load().run(config, _inputs(stages, name, run_dir), out)
+    write_output(stages[name].load().run(config, _inputs(stages, name, run_dir), out), out)
     artifacts.mark_done(out, **identity, seconds=round(time.monotonic() - start, 1))
 
 

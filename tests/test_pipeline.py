@@ -12,6 +12,7 @@ from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError, Range
 from qjrl.pipeline import Stage
+from qjrl.report.output import Output
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,16 +44,16 @@ def calls(monkeypatch) -> list[str]:
     """Two fake stages, the second reading the first; the list records each run of one."""
     calls: list[str] = []
 
-    def run_first(config: FirstConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_first(config: FirstConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append("first, going on" if (out / "partial.json").exists() else "first")
         artifacts.write_json(out / "partial.json", 0)
         if config.first.count == 7:
             raise KeyboardInterrupt
-        artifacts.write_json(out / "count.json", config.first.count)
+        return Output(records={"count": config.first.count})
 
-    def run_second(config: SecondConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_second(config: SecondConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append("second")
-        artifacts.write_json(out / "product.json", config.second.gain * artifacts.load(inputs["first"] / "count.json"))
+        return Output(records={"product": config.second.gain * artifacts.load(inputs["first"] / "count.json")})
 
     for name, kind, run in (("first", FirstConfig, run_first), ("second", SecondConfig, run_second)):
         module = ModuleType(f"fake_{name}")
@@ -167,12 +168,12 @@ class ShareConfig:
 def shared(calls, monkeypatch) -> list[str]:
     """The first of the two fake stages becomes one that can be shared."""
 
-    def run_share(config: ShareConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_share(config: ShareConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append(config.part or "whole")
         if config.part:
-            return artifacts.write_json(out / "count.json", config.seed + (config.share or 0))
+            return Output(records={"count": config.seed + (config.share or 0)})
         counts = [artifacts.load(path) for path in artifacts.parts_of(out).glob("*-of-2/count.json")]
-        artifacts.write_json(out / "count.json", sum(counts))
+        return Output(records={"count": sum(counts)})
 
     monkeypatch.setattr(sys.modules["fake_first"], "Config", ShareConfig)
     monkeypatch.setattr(sys.modules["fake_first"], "run", run_share)

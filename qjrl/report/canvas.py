@@ -17,6 +17,8 @@ from qjrl.report.palette import LIGHT
 
 PANEL = (5.2, 3.5)
 """Width and height of a figure with one plot [inch]; two stand side by side on a desk, one fills a phone."""
+DPI = 110
+"""Pixels of a picture per inch of its figure."""
 
 _STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",  # comes with matplotlib, so that a figure looks the same everywhere
@@ -79,12 +81,12 @@ def logarithmic(axes: Axes, which: Literal["x", "y"]) -> None:
     axes.tick_params(axis=which, which="minor", length=0)
 
 
-def save_png(figure: Figure, path: str | Path, dpi: int = 160) -> None:
+def save_png(figure: Figure, path: str | Path, dpi: int = DPI) -> None:
     """Writes a figure as PNG: the whole file or none of it."""
     write_bytes(path, as_png(figure, dpi))
 
 
-def as_png(figure: Figure, dpi: int = 160) -> bytes:
+def as_png(figure: Figure, dpi: int = DPI) -> bytes:
     """A figure as the bytes of a PNG file; the same figure gives the same bytes."""
     buffer = io.BytesIO()
     with style():
@@ -92,7 +94,7 @@ def as_png(figure: Figure, dpi: int = 160) -> bytes:
     return buffer.getvalue()
 
 
-def as_data_uri(figure: Figure, dpi: int = 160) -> str:
+def as_data_uri(figure: Figure, dpi: int = DPI) -> str:
     """A figure as `data:image/png;base64,…`, for `src=` of an HTML image."""
     return png_data_uri(as_png(figure, dpi))
 

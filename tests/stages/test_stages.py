@@ -19,6 +19,7 @@ from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.pipeline import STAGES
+from qjrl.report.output import write_output
 from qjrl.robot import load_robot, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
@@ -226,7 +227,7 @@ def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
         OpenLoopConfig(num_targets=5, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
         seed=0,
     )
-    open_loop.run(config, {"forward_model": finished / "forward_model"}, tmp_path)
+    write_output(open_loop.run(config, {"forward_model": finished / "forward_model"}, tmp_path), tmp_path)
     metrics, raw = artifacts.load(tmp_path / "metrics.json"), artifacts.load(tmp_path / "outcomes.npz")
     for target_set in TARGET_SETS:
         assert metrics["controllers"][target_set].keys() == {"fabrik", "least_squares", "learned_ik"}
@@ -254,7 +255,7 @@ def test_accuracy_evaluates_every_controller_on_the_same_targets(finished, tmp_p
         seed=0,
     )
     inputs = {"sample": finished / "dataset", "forward_model": finished / "forward_model"}
-    accuracy.run(config, inputs, tmp_path)
+    write_output(accuracy.run(config, inputs, tmp_path), tmp_path)
     metrics = artifacts.load(tmp_path / "metrics.json")
     for number in ("after_0", "after_1"):
         assert metrics["exact"][number].keys() == {"fabrik", "least_squares", "learned_ik"}
@@ -273,5 +274,5 @@ def test_accuracy_evaluates_every_controller_on_the_same_targets(finished, tmp_p
     assert metrics["tension"]["any"]["tension_error_max_N"] < 0.1
     before = (tmp_path / "metrics.json").read_bytes()
     (tmp_path / "noisy-learned_ik.npz").unlink()
-    accuracy.run(config, inputs, tmp_path)
+    write_output(accuracy.run(config, inputs, tmp_path), tmp_path)
     assert (tmp_path / "metrics.json").read_bytes() == before  # what was interrupted goes on to the same end

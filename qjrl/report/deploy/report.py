@@ -57,7 +57,6 @@ def deployment_report(
     metrics: Mapping[str, Any],
     animation: Fragment,
     figures: Mapping[str, Figure],
-    provenance: Mapping[str, Any],
 ) -> Report:
     """The whole page; `metrics` as the stage writes them, figures "latency" and "error"."""
     timing, replayed = metrics["timing"], metrics["replay"]
@@ -92,7 +91,6 @@ def deployment_report(
                 ),
             ),
         ),
-        provenance=provenance,
     )
 
 

@@ -82,7 +82,6 @@ def on_fresh_poses(metrics: Mapping[str, Any]) -> str:
 def pretension_report(
     metrics: Mapping[str, Any],
     pictures: Mapping[str, tuple[Figure, str]],
-    provenance: Mapping[str, Any],
 ) -> Report:
     """The whole page."""
     own = metrics["own"]
@@ -109,7 +108,6 @@ def pretension_report(
             Section("Tension maps", pictures=_drawn(pictures, "tip_map", "segment_map", "path")),
             Section("Strands", tables=(strand_table(metrics),)),
         ),
-        provenance=provenance,
     )
 
 

@@ -16,7 +16,6 @@ def track_report(
     accepted: float,
     animation: Fragment,
     pictures: Mapping[str, tuple[Figure, str]],
-    provenance: Mapping[str, Any],
 ) -> Report:
     """The whole page.
 
@@ -61,7 +60,6 @@ def track_report(
                 ),
             ),
         ),
-        provenance=provenance,
     )
 
 

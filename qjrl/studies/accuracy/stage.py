@@ -2,7 +2,7 @@
 learned IK says of slack strands and of targets out of reach."""
 
 import dataclasses
-import logging
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,7 @@ import numpy as np
 from qjrl import artifacts, progress
 from qjrl.control.first_commands import CONTROLLERS
 from qjrl.control.inversion import IKConfig
-from qjrl.report.canvas import save_png
-from qjrl.report.tables import as_markdown, as_text
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.forward_model import PoseFunction, load_pose_function
 from qjrl.robot.settled_rows import settled_rows
@@ -27,8 +26,6 @@ from qjrl.studies.accuracy.figures import errors_by_measurements
 from qjrl.studies.accuracy.held_out import reachable_targets
 from qjrl.studies.accuracy.measure import AccuracyConfig, evaluate_accuracy
 
-log = logging.getLogger(__name__)
-
 
 @dataclasses.dataclass(frozen=True)
 class Config:
@@ -39,8 +36,8 @@ class Config:
     seed: int
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `table.md`, `unreachable.md`, `corrections.png`, and every run's arrays, from which it goes on."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `table.md`, `unreachable.md`, `corrections.png`; the arrays of every run are written when it ends."""
     robot, settings = robot_from_mapping(config.robot), config.accuracy
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
@@ -66,8 +63,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "noise": corrections.noise_floor(settings.noise.position, settings.noise.orientation),
         "ratios": {kind: corrections.ratios(runs, solved) for kind, runs in found.items()},
     }
-    artifacts.write_json(out / "metrics.json", metrics | about | feasible)
-    _show(found, metrics, about, out)
+    unreachable = feasibility.unreachable_table(feasible["unreachable"])
+    labels = _labels(about["noise"])
+    table = corrections.corrections_table({labels[kind]: numbers for kind, numbers in metrics.items()})
+    return Output(
+        metrics | about | feasible,
+        figures={"corrections": _figure(found, labels, about["noise"])},
+        tables={"unreachable": (unreachable,), "table": (table,)},
+        shown=list(_lines(about["ratios"]["exact"])),
+    )
 
 
 def _feasibility(
@@ -84,36 +88,33 @@ def _feasibility(
         lambda: evaluate_unreachable(robot, model, simulation, config.ik, settings, beyond, seed),
     )
     weight = config.ik.least_squares.descent.rotation_weight
-    found = {
+    return {
         "tension": feasibility.tension_metrics(tension),
         "unreachable": feasibility.unreachable_metrics(unreachable, KINDS, weight),
     }
-    table = feasibility.unreachable_table(found["unreachable"])
-    artifacts.write_bytes(out / "unreachable.md", as_markdown(table).encode())
-    log.info("%s", as_text(table))
-    return found
 
 
-def _show(found: dict[str, dict[str, Corrected]], metrics: dict, about: dict[str, Any], out: Path) -> None:
-    """The table and the figure of all runs, and the lines that answer the question."""
-    noise = about["noise"]
-    labels = {
-        "exact": "exact",
-        "noisy": f"noise {noise['position_deviation_mm']:.2g} mm, {noise['orientation_deviation_deg']:.2g}°",
-    }
-    table = corrections.corrections_table({labels[kind]: numbers for kind, numbers in metrics.items()})
-    artifacts.write_bytes(out / "table.md", as_markdown(table).encode())
+def _labels(noise: dict[str, float]) -> dict[str, str]:
+    """Kind of measurements -> the words for it."""
+    deviations = f"{noise['position_deviation_mm']:.2g} mm, {noise['orientation_deviation_deg']:.2g}°"
+    return {"exact": "exact", "noisy": f"noise {deviations}"}
+
+
+def _figure(found: dict[str, dict[str, Corrected]], labels: dict[str, str], noise: dict[str, float]) -> Any:
+    """The figure of all runs."""
     floors = {"exact": None, "noisy": 1e-3 * noise["position_median_mm"]}
     panels = {
         labels[kind]: ({name: one.position_error for name, one in runs.items()}, floors[kind])
         for kind, runs in found.items()
     }
-    save_png(errors_by_measurements(panels), out / "corrections.png", dpi=110)
-    log.info("%s", as_text(table))
-    for number, ratio in about["ratios"]["exact"].items():
-        log.info(
-            "accuracy, %s exact measurements: FABRIK's median is %.1f times the learned IK's, %.1f orders of magnitude",
-            number.removeprefix("after_"),
-            ratio["fabrik"]["ratio"],
-            ratio["fabrik"]["orders_of_magnitude"],
+    return errors_by_measurements(panels)
+
+
+def _lines(ratios: dict[str, Any]) -> Iterator[str]:
+    """The lines that answer the question."""
+    for number, ratio in ratios.items():
+        yield (
+            f"accuracy, {number.removeprefix('after_')} exact measurements: FABRIK's median is "
+            f"{ratio['fabrik']['ratio']:.1f} times the learned IK's, "
+            f"{ratio['fabrik']['orders_of_magnitude']:.1f} orders of magnitude"
         )

@@ -1,28 +1,24 @@
 """Stage `open_loop`: FABRIK, least squares and the learned IK, their commands settled in the physics (Fig. 8)."""
 
 import dataclasses
-import logging
 import math
 from pathlib import Path
 
 import numpy as np
 
-from qjrl import artifacts, progress
+from qjrl import progress
 from qjrl.control.inversion import IKConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.geometry.pose import row_errors
 from qjrl.report import metrics as measures
 from qjrl.report.answers import outcome_at_rest
-from qjrl.report.canvas import save_png
 from qjrl.report.error_figures import cumulative_errors
 from qjrl.report.outcomes import Outcome
-from qjrl.report.tables import as_text
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.studies.open_loop.measure import OpenLoopConfig, OpenLoopRun, run_open_loop
-
-log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,8 +30,9 @@ class Config:
     seed: int
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `outcomes.npz` and a cumulative curve for every target set; the table goes to the log."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `outcomes.npz` and a cumulative curve for every target set; the table is shown."""
+    del out
     robot = robot_from_mapping(config.robot)
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     outcomes, columns, solved = [], {}, {}
@@ -50,20 +47,17 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
                 columns |= _columns(f"{target_set}/{name}", one, errors)
             solved[target_set] = {name: float(np.mean(one.solved.converged)) for name, one in runs.items()}
     ratios = {name: _ratios([one for one in outcomes if one.target_set == name]) for name in TARGET_SETS}
-    artifacts.write_arrays(out / "outcomes.npz", columns)
-    artifacts.write_json(
-        out / "metrics.json", {"controllers": measures.metrics_of(outcomes), "solved": solved, "ratios": ratios}
+    lines = [
+        f"open loop, {name} targets: the learned IK's median is {ratio['fabrik']:.1f} times smaller than FABRIK's, "
+        f"{math.log10(ratio['fabrik']):.1f} orders of magnitude"
+        for name, ratio in ratios.items()
+    ]
+    return Output(
+        {"controllers": measures.metrics_of(outcomes), "solved": solved, "ratios": ratios},
+        {"outcomes": columns},
+        {name: cumulative_errors([one for one in outcomes if one.target_set == name]) for name in TARGET_SETS},
+        shown=(measures.error_table(outcomes), *lines),
     )
-    for name in TARGET_SETS:
-        save_png(cumulative_errors([one for one in outcomes if one.target_set == name]), out / f"{name}.png", dpi=110)
-    log.info("%s", as_text(measures.error_table(outcomes)))
-    for name, ratio in ratios.items():
-        log.info(
-            "open loop, %s targets: the learned IK's median is %.1f times smaller than FABRIK's, %.1f orders of magnitude",
-            name,
-            ratio["fabrik"],
-            math.log10(ratio["fabrik"]),
-        )
 
 
 def _columns(prefix: str, one: OpenLoopRun, errors: tuple[np.ndarray, np.ndarray]) -> dict[str, np.ndarray]:

@@ -1,18 +1,16 @@
 """Stage `residual`: what the policy and its baseline do, what makes the base err, and what in the training matters."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from qjrl import artifacts, progress
+from qjrl import progress
 from qjrl.control.policy_training import PolicyConfig, check_training
 from qjrl.control.target_files import read_targets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
-from qjrl.report.canvas import save_png
-from qjrl.report.tables import as_markdown, as_text
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.studies.residual import figures, tables
@@ -25,8 +23,6 @@ from qjrl.studies.residual.measure import (
     tuning,
 )
 from qjrl.studies.residual.parameter_effects import one_at_a_time
-
-log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,17 +38,16 @@ class Config:
         check_training(self.policy, self.engine)
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `traces.npz`, `table.md`, the figures, and a directory for each ablation."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `traces.npz`, `table.md` and the figures; each ablation has a directory, from which it goes on."""
     robot, settings = robot_from_mapping(config.robot), config.residual
     held_out, bank = (read_targets(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
     subject = make_subject(robot, config.engine, config.policy, held_out, settings.num_targets, config.seed)
     traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
-    artifacts.write_arrays(out / "traces.npz", traces | {"target_set": subject.targets["target_set"]})
+    drawn = {}
     for index, name in enumerate(TARGET_SETS):
         of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
-        figure = figures.errors_over_time(of_set, config.policy.environment.control_period)
-        save_png(figure, out / f"errors_{name}.png", dpi=110)
+        drawn[f"errors_{name}"] = figures.errors_over_time(of_set, config.policy.environment.control_period)
     with progress.track(len(settings.baseline_gains), "the baseline's gain") as advance:
         tuned = tuning(subject, settings.baseline_gains, lambda: advance(1))
     parameters = one_at_a_time(config.policy.environment.randomisation)
@@ -66,13 +61,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         for index, name in enumerate(TARGET_SETS)
     }
     found = {"floor_mm": floor, "baseline": tuned, "effects": alone, "ablations": ablated}
-    artifacts.write_json(out / "metrics.json", found)
     written = [
         *([tables.tuning_table(tuned)] if tuned else []),
         tables.effects_table(alone),
         *([tables.ablation_table(ablated)] if ablated else []),
     ]
-    artifacts.write_bytes(out / "table.md", "\n".join(map(as_markdown, written)).encode())
-    for table in written:
-        log.info("%s\n", as_text(table))
-    log.info("residual: encoder noise alone, averaged since arrival: %s", floor)
+    return Output(
+        found,
+        {"traces": traces | {"target_set": subject.targets["target_set"]}},
+        drawn,
+        {"table": written},
+        shown=(f"residual: encoder noise alone, averaged since arrival: {floor}",),
+    )

@@ -1,27 +1,23 @@
 """Stage `robustness`: base, baselines and policy under disturbances that none was made for, on the same held-out targets."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
-from qjrl import artifacts, progress
+from qjrl import progress
 from qjrl.control.bases import controller_name
 from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.target_files import read_targets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.report.answers import outcome_of
-from qjrl.report.canvas import save_png
 from qjrl.report.outcomes import Outcome
-from qjrl.report.tables import as_markdown, as_text
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.studies.robustness.figures import errors_by_disturbance
 from qjrl.studies.robustness.measure import RobustnessConfig, disturbances, evaluate_disturbed
 from qjrl.studies.robustness.report import robustness_metrics, robustness_table
-
-log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,8 +39,9 @@ class Config:
         return self.engine if self.robustness.engine == "training" else self.simulation
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `outcomes.npz`, `table.md` and a figure for every target set; table and verdict go to the log."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `outcomes.npz`, `table.md` and a figure for every target set; table and verdict are shown."""
+    del out
     robot, settings = robot_from_mapping(config.robot), config.robustness
     targets = read_targets(inputs["ik"] / "held_out.npz")
     policy = load_policy(inputs["policy"] / "policy")
@@ -58,21 +55,20 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         disturbance: [_outcome(*key, *value) for key, value in one.items()] for disturbance, one in evaluated.items()
     }
     names = controller_name(config.policy.base, has_policy=True), controller_name(config.policy.base)
-    metrics, table = robustness_metrics(found, *names), robustness_table(found, *names)
-    artifacts.write_json(out / "metrics.json", metrics)
-    artifacts.write_arrays(
-        out / "outcomes.npz",
-        {
-            f"{disturbance}/{outcome.target_set}/{outcome.controller}/{quantity}": getattr(outcome, quantity)
-            for disturbance, outcomes in found.items()
-            for outcome in outcomes
-            for quantity in ("position_error", "orientation_error")
-        },
+    metrics = robustness_metrics(found, *names)
+    columns = {
+        f"{disturbance}/{outcome.target_set}/{outcome.controller}/{quantity}": getattr(outcome, quantity)
+        for disturbance, outcomes in found.items()
+        for outcome in outcomes
+        for quantity in ("position_error", "orientation_error")
+    }
+    return Output(
+        metrics,
+        {"outcomes": columns},
+        {target_set: errors_by_disturbance(found, target_set) for target_set in TARGET_SETS},
+        tables={"table": (robustness_table(found, *names),)},
+        shown=(metrics["verdict"],),
     )
-    artifacts.write_bytes(out / "table.md", as_markdown(table).encode())
-    for target_set in TARGET_SETS:
-        save_png(errors_by_disturbance(found, target_set), out / f"{target_set}.png", dpi=110)
-    log.info("%s\n%s", as_text(table), metrics["verdict"])
 
 
 def _outcome(target_set: str, controller: str, evaluation, left_out: int) -> Outcome:

@@ -1,7 +1,6 @@
 """The page of the workspace experiment, and its figures by name."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -57,7 +56,6 @@ def workspace_report(
     workspaces: Sequence[ArmWorkspace],
     pairs: Sequence[comparison.Pair],
     pictures: Mapping[str, tuple[Figure, str]],
-    provenance: Mapping[str, Any],
 ) -> Report:
     """The whole page."""
     verdict = comparison.evaluate(pairs, config.comparable_share)
@@ -86,7 +84,6 @@ def workspace_report(
             Section("Numbers", _TEXT, tables=tables),
             Section("Pictures", pictures=tuple(drawn)),
         ),
-        provenance=provenance,
     )
 
 

@@ -29,7 +29,7 @@ def metrics(message: str = "", position: float = 5e-4, other: str = "", is_finit
 
 
 def page(content: dict[str, Any]):
-    return track_report("Path", content, 1e-3, Fragment(""), {}, {})
+    return track_report("Path", content, 1e-3, Fragment(""), {})
 
 
 def test_a_path_that_is_kept_by_taut_strands_is_good_news() -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from qjrl import artifacts
 from qjrl.config import conf_folder, read_yaml
+from qjrl.report.output import write_output
 from qjrl.studies.jitter import stage
 from qjrl.studies.jitter.cases import HARD, SERVOS, SERVOS_AS_THEY_ARE, JitterConfig
 
@@ -17,7 +18,7 @@ def test_servos_rest_in_both_engines_and_hard_limits_do_not_in_mjx(tmp_path):
         num_poses=1, ramp_time=0.5, hold_time=2.5, window=0.5, half_widths=(1e-4, 1e-3), time_constants=(), impedances=(),
         iteration_counts=(), tolerances=(), averages=(25,),
     )  # fmt: skip
-    stage.run(stage.Config(robot, settings, 0), {}, tmp_path)
+    write_output(stage.run(stage.Config(robot, settings, 0), {}, tmp_path), tmp_path)
     cables = artifacts.load(tmp_path / "metrics.json")["sweeps"]["cables"]
     assert cables[SERVOS]["C MuJoCo"]["mean"] < 1e-6
     assert cables[SERVOS]["MJX"]["mean"] < 2e-4

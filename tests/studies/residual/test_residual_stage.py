@@ -18,6 +18,7 @@ from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import save_policy
+from qjrl.report.output import write_output
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation.engine import EngineConfig
 from qjrl.studies.residual import measure as study
@@ -81,7 +82,8 @@ def finished(tmp_path_factory):
     save_policy(folder / "policy" / "policy", idle_policy(ARM, CONFIG.environment))
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
     config = residual.Config(robot, EngineConfig(), CONFIG, SETTINGS, seed=0)
-    residual.run(config, {"ik": folder / "ik", "policy": folder / "policy"}, folder / "residual")
+    inputs = {"ik": folder / "ik", "policy": folder / "policy"}
+    write_output(residual.run(config, inputs, folder / "residual"), folder / "residual")
     return folder / "residual"
 
 

@@ -11,6 +11,7 @@ from qjrl.control.bases import controller_name
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.learning.ppo.policy import save_policy
+from qjrl.report.output import write_output
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
@@ -42,7 +43,8 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
     settings = RobustnessConfig(num_targets=COUNT // 2, bases=("learned",), engine="training")
     inputs = {"ik": tmp_path / "ik", "policy": tmp_path / "policy"}
-    stage.run(stage.Config(robot, SettleConfig(), EngineConfig(), POLICY, settings, 0), inputs, out)
+    config = stage.Config(robot, SettleConfig(), EngineConfig(), POLICY, settings, 0)
+    write_output(stage.run(config, inputs, out), out)
     metrics = artifacts.load(out / "metrics.json")
     assert metrics["exceptions"] == [] and len(metrics["disturbances"]) == 9
     columns = artifacts.load(out / "outcomes.npz")
