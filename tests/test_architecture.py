@@ -40,6 +40,7 @@ FLOORS |= {
     "csv_rows": 1,
     "shipped": 1.5,
     "measured": 1.5,
+    "stage_config": 3,
     "stage": 5.5,
     "sweep": 6,
 }

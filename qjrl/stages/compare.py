@@ -24,6 +24,7 @@ from qjrl.report.page import Report
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 _ERRORS: Kinds = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
 _FITTED: Kinds = {
@@ -41,12 +42,10 @@ _TRAINED: Kinds = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     policy: PolicyConfig
     name: str
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""

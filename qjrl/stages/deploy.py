@@ -35,15 +35,14 @@ from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     policy: PolicyConfig
     deploy: DeployConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""

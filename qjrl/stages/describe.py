@@ -13,14 +13,13 @@ from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     describe: DescribeConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

@@ -10,13 +10,12 @@ from qjrl.provenance import read_provenance
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     export: ExportConfig
-    seed: int
 
     @property
     def packages(self) -> dict[str, str]:

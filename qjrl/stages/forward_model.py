@@ -8,13 +8,12 @@ from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, save_forward_model
 from qjrl.robot.model_fitting import fit_forward_model
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     forward_model: ForwardModelConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

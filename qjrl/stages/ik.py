@@ -15,14 +15,13 @@ from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     ik: IKConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

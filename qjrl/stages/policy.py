@@ -16,16 +16,15 @@ from qjrl.records import NUMBER, check_record
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
+from qjrl.stage_config import RobotStageConfig
 
 _AT_THE_START = ("evaluation/median_mm", "evaluation/uniform_median_mm", "evaluation/near_home_median_mm")
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     engine: EngineConfig
     policy: PolicyConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps, and the devices share the arms."""

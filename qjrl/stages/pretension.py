@@ -18,14 +18,13 @@ from qjrl.report.pretension import maps, report
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     pretension: PretensionConfig
-    seed: int
 
     def check(self) -> None:
         if self.pretension.path is not None:  # a file that is no path is refused before any work

@@ -12,16 +12,15 @@ from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.simulation.sampling import SampleConfig, num_rows, row_settings, rows_done, sample_dataset
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.sharding import join_parts, part_directories, remove_parts
+from qjrl.stage_config import RobotStageConfig
 
 log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     sample: SampleConfig
-    seed: int
 
     @property
     def part(self) -> str | None:

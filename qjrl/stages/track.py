@@ -22,14 +22,13 @@ from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     track: TrackConfig
-    seed: int
 
     def check(self) -> None:
         # a file that is no path of this arm is refused before any work

@@ -45,7 +45,7 @@ def compared(tmp_path):
     for stage, record in LOGS.items():
         artifacts.append_json_line(inputs[stage] / "progress.jsonl", record)
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    config = compare.Config(robot, SettleConfig(), PolicyConfig(), "tiny", 0)
+    config = compare.Config(robot, SettleConfig(), PolicyConfig(), "tiny", seed=0)
     return tmp_path, lambda: write_output(compare.run(config, inputs, tmp_path / "compare"), tmp_path / "compare")
 
 

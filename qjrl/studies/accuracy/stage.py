@@ -18,6 +18,7 @@ from qjrl.robot.settled_rows import settled_rows
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.solvers import count_statuses
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.accuracy import corrections
 from qjrl.studies.accuracy import feasibility_numbers as feasibility
 from qjrl.studies.accuracy.feasibility import KINDS, evaluate_tension, evaluate_unreachable, unreachable_targets
@@ -28,12 +29,10 @@ from qjrl.studies.accuracy.measure import AccuracyConfig, evaluate_accuracy
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     ik: IKConfig
     accuracy: AccuracyConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

@@ -7,16 +7,15 @@ from qjrl import progress
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.elliptical_deviation import figures
 from qjrl.studies.elliptical_deviation import measure as study
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     elliptical_deviation: study.DeviationConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

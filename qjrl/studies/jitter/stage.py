@@ -8,16 +8,15 @@ import numpy as np
 from qjrl import progress
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.jitter import figures, report
 from qjrl.studies.jitter.cases import JitterConfig, sweeps
 from qjrl.studies.jitter.measure import Findings, num_plays, study
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     jitter: JitterConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

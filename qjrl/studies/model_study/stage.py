@@ -6,16 +6,15 @@ from pathlib import Path
 from qjrl import artifacts
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping, robot_hash
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.model_study import figures
 from qjrl.studies.model_study.measure import ModelStudyConfig, run_study
 from qjrl.studies.model_study.table import study_table
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     model_study: ModelStudyConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

@@ -18,16 +18,15 @@ from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.open_loop.measure import OpenLoopConfig, OpenLoopRun, run_open_loop
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     ik: IKConfig
     open_loop: OpenLoopConfig
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

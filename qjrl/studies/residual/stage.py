@@ -13,6 +13,7 @@ from qjrl.learning.ppo.policy import load_policy
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.residual import figures, tables
 from qjrl.studies.residual.measure import (
     ResidualStudyConfig,
@@ -26,12 +27,10 @@ from qjrl.studies.residual.parameter_effects import one_at_a_time
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     engine: EngineConfig
     policy: PolicyConfig
     residual: ResidualStudyConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps, and the devices share the arms."""

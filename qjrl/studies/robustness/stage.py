@@ -15,19 +15,18 @@ from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.robustness.figures import errors_by_disturbance
 from qjrl.studies.robustness.measure import RobustnessConfig, disturbances, evaluate_disturbed
 from qjrl.studies.robustness.report import robustness_metrics, robustness_table
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     engine: EngineConfig
     policy: PolicyConfig
     robustness: RobustnessConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""

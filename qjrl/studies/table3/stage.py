@@ -6,14 +6,14 @@ from pathlib import Path
 from qjrl import progress
 from qjrl.report.output import Output
 from qjrl.robot import load_robot
+from qjrl.stage_config import StageConfig
 from qjrl.studies.table3 import figures, protocol
 from qjrl.studies.table3.table import metrics_of, solver_table
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(StageConfig):
     table3: protocol.Table3Config
-    seed: int
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:

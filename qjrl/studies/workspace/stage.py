@@ -6,15 +6,20 @@ from pathlib import Path
 from qjrl import artifacts, progress
 from qjrl.report.output import Output
 from qjrl.robot import robot_hash
+from qjrl.stage_config import StageConfig
 from qjrl.studies.workspace import comparison
 from qjrl.studies.workspace.report import workspace_figures, workspace_report
 from qjrl.studies.workspace.survey import WorkspaceConfig, measure_workspaces, num_poses, robot_of
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
+class Config(StageConfig):
     workspace: WorkspaceConfig
-    seed: int
+
+    def check(self) -> None:
+        """Every arm can be read."""
+        for arm in self.workspace.arms:
+            robot_of(arm)
 
     @property
     def robot_hash(self) -> str:

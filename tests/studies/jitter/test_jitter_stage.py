@@ -18,7 +18,7 @@ def test_servos_rest_in_both_engines_and_hard_limits_do_not_in_mjx(tmp_path):
         num_poses=1, ramp_time=0.5, hold_time=2.5, window=0.5, half_widths=(1e-4, 1e-3), time_constants=(), impedances=(),
         iteration_counts=(), tolerances=(), averages=(25,),
     )  # fmt: skip
-    write_output(stage.run(stage.Config(robot, settings, 0), {}, tmp_path), tmp_path)
+    write_output(stage.run(stage.Config(robot, settings, seed=0), {}, tmp_path), tmp_path)
     cables = artifacts.load(tmp_path / "metrics.json")["sweeps"]["cables"]
     assert cables[SERVOS]["C MuJoCo"]["mean"] < 1e-6
     assert cables[SERVOS]["MJX"]["mean"] < 2e-4

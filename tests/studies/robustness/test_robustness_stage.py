@@ -43,7 +43,7 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
     settings = RobustnessConfig(num_targets=COUNT // 2, bases=("learned",), engine="training")
     inputs = {"ik": tmp_path / "ik", "policy": tmp_path / "policy"}
-    config = stage.Config(robot, SettleConfig(), EngineConfig(), POLICY, settings, 0)
+    config = stage.Config(robot, SettleConfig(), EngineConfig(), POLICY, settings, seed=0)
     write_output(stage.run(config, inputs, out), out)
     metrics = artifacts.load(out / "metrics.json")
     assert metrics["exceptions"] == [] and len(metrics["disturbances"]) == 9

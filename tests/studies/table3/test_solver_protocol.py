@@ -92,7 +92,7 @@ def test_figures_draw():
 def test_the_stage_writes_its_numbers_and_figures(tmp_path):
     settings = Table3Config((CASE,), num_targets=16, num_seeds=1, num_single=1, num_repeats=1, num_curve=16)
     quick = dataclasses.replace(settings.fabrik, outer_iterations=40, batch_size=16)
-    config = table3.Config(dataclasses.replace(settings, fabrik=quick, relaxations=(1.0,)), 0)
+    config = table3.Config(dataclasses.replace(settings, fabrik=quick, relaxations=(1.0,)), seed=0)
     write_output(table3.run(config, {}, tmp_path), tmp_path)
     methods = artifacts.load(tmp_path / "metrics.json")["cases"][CASE.label]
     assert len(methods) == 5 and methods["least squares"]["success_percent"] == 100.0
