@@ -13,10 +13,17 @@ from typing import Annotated, Any
 from qjrl import machine, shipped
 from qjrl.config import ConfigError, Range, build, configuration, known_names, unknown_key
 from qjrl.field_words import show
-from qjrl.stage import Stage, alone_in, check_robot, robot_hash_of, run_part, run_stage, run_together
+from qjrl.stage import Stage, alone_in, run_part, run_stage, run_together
+from qjrl.stage_config import StageConfig
 
 STAGES: dict[str, Stage] = {
-    "sample": Stage("qjrl.stages.sample", "settle cable commands in MuJoCo and write the data set", writes="dataset"),
+    "sample": Stage(
+        "qjrl.stages.sample",
+        "settle cable commands in MuJoCo and write the data set",
+        writes="dataset",
+        shared="in parts",
+        part_key="sample.shard",
+    ),
     "forward_model": Stage(
         "qjrl.stages.forward_model",
         "fit cable lengths -> pose on the data set",
@@ -34,6 +41,7 @@ STAGES: dict[str, Stage] = {
         "train the residual policy on the target bank with PPO",
         reads=("forward_model", "ik"),
         writes="policy",
+        shared="together",
     ),
     "compare": Stage(
         "qjrl.stages.compare",
@@ -42,27 +50,27 @@ STAGES: dict[str, Stage] = {
         writes="compare",
     ),
     "robustness": Stage(
-        "qjrl.stages.robustness",
+        "qjrl.studies.robustness.stage",
         "evaluate base, baselines and policy under disturbances",
         reads=("ik", "policy"),
         writes="robustness",
         default=False,
     ),
     "residual": Stage(
-        "qjrl.stages.residual",
+        "qjrl.studies.residual.stage",
         "find what the policy does over time, what makes its base err, and what in its training matters",
         reads=("ik", "policy"),
         writes="residual",
         default=False,
     ),
     "open_loop": Stage(
-        "qjrl.stages.open_loop",
+        "qjrl.studies.open_loop.stage",
         "settle FABRIK's, least squares' and the learned IK's commands",
         reads=("forward_model",),
         writes="open_loop",
         default=False,
     ),
-    "model_study": Stage("qjrl.stages.model_study", "compare forward models", ("sample",), "model_study", False),
+    "model_study": Stage("qjrl.studies.model_study.stage", "compare forward models", ("sample",), "model_study", False),
     "export": Stage(
         "qjrl.stages.export",
         "write forward model and inverse kinematics as files that run without qjrl",
@@ -72,7 +80,7 @@ STAGES: dict[str, Stage] = {
     ),
     "deploy": Stage("qjrl.stages.deploy", "run the controller in real time", ("ik", "policy"), "deploy", False),
     "accuracy": Stage(
-        "qjrl.stages.accuracy",
+        "qjrl.studies.accuracy.stage",
         "evaluate every controller open loop and with pose measurements",
         reads=("sample", "forward_model"),
         writes="accuracy",
@@ -87,17 +95,22 @@ STAGES: dict[str, Stage] = {
     "pretension": Stage("qjrl.stages.pretension", "find the least pretension", writes="pretension", default=False),
     "track": Stage("qjrl.stages.track", "follow a path of poses in the physics", ("forward_model",), "track", False),
     "workspace": Stage(
-        "qjrl.stages.workspace", "measure and compare what the tips of arms reach", writes="workspace", default=False
+        "qjrl.studies.workspace.stage",
+        "measure and compare what the tips of arms reach",
+        writes="workspace",
+        default=False,
     ),
     "elliptical_deviation": Stage(
-        "qjrl.stages.elliptical_deviation",
+        "qjrl.studies.elliptical_deviation.stage",
         "measure how far the joint's path leaves the circle, and what it does to the arm",
         writes="elliptical_deviation",
         default=False,
     ),
-    "jitter": Stage("qjrl.stages.jitter", "measure what moves at rest, in C and MJX", writes="jitter", default=False),
+    "jitter": Stage(
+        "qjrl.studies.jitter.stage", "measure what moves at rest, in C and MJX", writes="jitter", default=False
+    ),
     "table3": Stage(
-        "qjrl.stages.table3",
+        "qjrl.studies.table3.stage",
         "solve the paper's inverse-kinematics protocol by FABRIK and least squares",
         writes="table3",
         default=False,
@@ -105,11 +118,11 @@ STAGES: dict[str, Stage] = {
 }
 
 
-PART_KEYS = ("sample.shard",)
+PART_KEYS = tuple(stage.part_key for stage in STAGES.values() if stage.shared == "in parts")
 """Keys that say which part of a stage a process makes: a sweep over them fills one run directory."""
 
 
-SHARED = ("policy",)
+TOGETHER = tuple(name for name, stage in STAGES.items() if stage.shared == "together")
 """Stages that several processes can run together."""
 
 
@@ -152,8 +165,8 @@ class RunConfig:
         for stage in self.stages:
             if stage not in STAGES:
                 raise ConfigError(f"stages: got '{stage}', {known_names(stage, STAGES)}")
-        if self.processes.count > 1 and (len(self.stages) != 1 or self.stages[0] not in SHARED):
-            allowed = " or ".join(f"[{name}]" for name in SHARED)
+        if self.processes.count > 1 and (len(self.stages) != 1 or self.stages[0] not in TOGETHER):
+            allowed = " or ".join(f"[{name}]" for name in TOGETHER)
             raise ConfigError(f"stages: got [{','.join(self.stages)}], allowed: {allowed} alone, by several processes")
 
 
@@ -198,7 +211,7 @@ def in_order(names: Iterable[str]) -> list[str]:
     return [name for name in STAGES if name in set(names)]
 
 
-def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None:
+def run(names: Iterable[str], configs: Mapping[str, StageConfig], run_dir: Path) -> None:
     """Runs the stages asked for in the order of the data flow; what is done and unchanged is skipped.
 
     Args:
@@ -207,22 +220,21 @@ def run(names: Iterable[str], configs: Mapping[str, Any], run_dir: Path) -> None
         run_dir: where the stages' directories are or will be.
     """
     ordered = in_order(names)
-    shared = [name for name in ordered if getattr(configs[name], "part", None) is not None]
-    if shared:
-        if ordered != shared:
-            only = configs[shared[0]].part
+    in_parts = [name for name in ordered if configs[name].part is not None]
+    if in_parts:
+        if ordered != in_parts:
+            only = configs[in_parts[0]].part
             raise ConfigError(
-                f"stages: got [{','.join(ordered)}], allowed: [{shared[0]}] alone to make part {only} of it"
+                f"stages: got [{','.join(ordered)}], allowed: [{in_parts[0]}] alone to make part {only} of it"
             )
-        return run_part(STAGES, shared[0], configs[shared[0]], run_dir)
+        return run_part(STAGES, in_parts[0], configs[in_parts[0]], run_dir)
     from qjrl.learning import processes
 
     if processes.are_several():
         return run_together(STAGES, ordered[0], configs[ordered[0]], run_dir)
     with alone_in(run_dir):
         for name in ordered:
-            config = configs[name]
-            run_stage(STAGES, name, config.whole() if hasattr(config, "whole") else config, run_dir)
+            run_stage(STAGES, name, configs[name].whole(), run_dir)
 
 
 def build_needed(tree: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
@@ -265,10 +277,9 @@ def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -
 def _configs(tree: Mapping[str, Any], kinds: Mapping[str, type], names: Iterable[str]) -> dict[str, Any]:
     configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
     for name in in_order({*names} & {*configs}):
-        robot_hash_of(configs[name])
-        getattr(configs[name], "check", lambda: None)()
+        configs[name].check()
     for config in configs.values():
-        check_robot(config)
+        config.check_robot()
     return configs
 
 

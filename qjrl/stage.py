@@ -1,18 +1,18 @@
 """One stage of a data flow: what it is, and when it runs again.
 
-A stage is a module with a frozen dataclass `Config`, whose fields are top-level keys of the configuration, and
-``run(config, inputs, out)``: `inputs` maps the name of each stage it reads to that stage's directory, `out` is its own.
+A stage is a module with a `Config`, which is a `StageConfig`, and ``run(config, inputs, out)``: `inputs` maps the name of
+each stage it reads to that stage's directory, `out` is its own. It returns an `Output`, which is written there; what it writes
+to `out` itself is what it goes on from when interrupted.
 
-Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
-reads beside them), `packages` (what -> which, of extras that change what it writes);
-not on fields that cannot change a result (`config.NotIdentity`). Output of another identity makes room and is kept; it is
-taken back when its identity is asked for again.
+Its output depends on that configuration, on its inputs, its `files` and its `packages`; not on fields that cannot change a
+result (`config.NotIdentity`). Output of another identity makes room and is kept; it is taken back when its identity is asked
+for again.
 
-A `Config` with `check()` refuses there what its fields allow one by one, and files that it cannot read, before any work.
-
-Many processes may share the work of a stage whose `Config` has `part` (the name of this process's part, None for all),
-`parts()` (name -> Config of every part) and `whole()` (the Config of all of it, the same for every part). Each part has
-a directory, a lock and a done-marker of its own in ``WRITES.parts/PART``; the whole is made of them when all are there.
+Processes can share the work of a stage in one of two ways (`Stage.shared`).
+In parts: each process makes a part of the rows, whenever it likes, and needs no other. A part has a directory, a lock and a
+done-marker of its own in ``WRITES.parts/PART``; the process that ends last makes the whole of all parts (`run_part`).
+Together: all processes run the stage at the same time and exchange what they compute; the first alone writes
+(`run_together`).
 """
 
 import dataclasses
@@ -24,13 +24,15 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 from qjrl import artifacts, kept
 from qjrl.artifacts import ArtifactError
 from qjrl.config import as_mapping, identity_of
 from qjrl.machine import MachineError
 from qjrl.provenance import provenance, read_provenance
+from qjrl.report.output import write_output
+from qjrl.stage_config import StageConfig
 
 log = logging.getLogger(__name__)
 
@@ -48,6 +50,17 @@ class Stage:
     """Name of its directory under the run directory."""
     default: bool = True
     """Whether it runs when no stages are asked for."""
+    shared: Literal["alone", "in parts", "together"] = "alone"
+    """How processes can share its work; "alone": not at all."""
+    part_key: str = ""
+    """Key of the configuration that says which part a process makes, of a stage that is shared in parts."""
+
+    @property
+    def group(self) -> Literal["pipeline", "tools", "studies"]:
+        """Where ``qjrl --help`` shows it: the pipeline, the tools for an arm of one's own, the experiments."""
+        if self.default:
+            return "pipeline"
+        return "studies" if self.module.startswith("qjrl.studies.") else "tools"
 
     def load(self) -> ModuleType:
         """The stage's module: `Config` and `run`."""
@@ -73,7 +86,7 @@ def alone_in(run_dir: Path, name: str = ".lock", wait: bool = False) -> Iterator
         yield
 
 
-def run_part(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
+def run_part(stages: Stages, name: str, config: StageConfig, run_dir: Path) -> None:
     """One process's share of a stage; the process that ends last makes the whole of all shares."""
     out = run_dir / stages[name].writes
     whole = _identity(stages, name, config.whole(), run_dir)
@@ -93,7 +106,7 @@ def run_part(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
             run_stage(stages, name, config.whole(), run_dir)
 
 
-def run_together(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
+def run_together(stages: Stages, name: str, config: StageConfig, run_dir: Path) -> None:
     """A stage that several processes run together: the first as `run_stage` does, the others write nothing."""
     from qjrl.learning import processes
 
@@ -108,21 +121,21 @@ def run_together(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
         run_stage(stages, name, config, run_dir)
 
 
-def run_stage(stages: Stages, name: str, config: Any, run_dir: Path) -> None:
+def run_stage(stages: Stages, name: str, config: StageConfig, run_dir: Path) -> None:
     """Run a stage of a data flow; what is done and unchanged is skipped, what was interrupted goes on."""
     label, out = name, run_dir / stages[name].writes
     identity = _identity(stages, name, config, run_dir)
-    if (part := getattr(config, "part", None)) is not None:
-        label, out = f"{name} {part}", artifacts.parts_of(out) / part
+    if config.part is not None:
+        label, out = f"{name} {config.part}", artifacts.parts_of(out) / config.part
     _take_back(label, out, identity)
     if _is_done(out, identity):
         log.info("%s: done before and unchanged, skipped", label)
         return
     _make_room(label, out, identity)
-    record = provenance(as_mapping(config), getattr(config, "seed", None), identity["robot_hash"])
+    record = provenance(as_mapping(config), config.seed, identity["robot_hash"])
     artifacts.write_json(out / artifacts.PROVENANCE, record | identity)
     start = time.monotonic()
-    stages[name].load().run(config, _inputs(stages, name, run_dir), out)
+    write_output(stages[name].load().run(config, _inputs(stages, name, run_dir), out), out)
     artifacts.mark_done(out, **identity, seconds=round(time.monotonic() - start, 1))
 
 
@@ -130,17 +143,16 @@ def _inputs(stages: Stages, name: str, run_dir: Path) -> dict[str, Path]:
     return {source: run_dir / stages[source].writes for source in stages[name].reads}
 
 
-def _identity(stages: Stages, name: str, config: Any, run_dir: Path) -> dict[str, Any]:
+def _identity(stages: Stages, name: str, config: StageConfig, run_dir: Path) -> dict[str, Any]:
     """What the output of a stage depends on."""
-    robot_hash, inputs = robot_hash_of(config), _inputs(stages, name, run_dir)
-    outside = getattr(config, "files", {}) | getattr(config, "packages", {})
+    robot_hash, inputs = config.robot_hash, _inputs(stages, name, run_dir)
     for directory in inputs.values():
         if artifacts.done_marker(directory) is None:
             state = "is not finished" if directory.exists() else "does not exist"
             needed = [stage for stage in stages if stage in {name, *_unfinished(stages, name, run_dir)}]
             raise ArtifactError(f"{name}: needs {directory}, which {state}; run stages=[{','.join(needed)}]")
     return {
-        "config_hash": artifacts.hash_of(identity_of(config) | outside),
+        "config_hash": artifacts.hash_of(identity_of(config) | {**config.files, **config.packages}),
         "robot_hash": robot_hash,
         "inputs": {source: _input_hash(name, source, path, robot_hash) for source, path in inputs.items()},
     }
@@ -209,20 +221,3 @@ def _unless_damaged(
             return False
 
     return is_wanted
-
-
-def check_robot(config: Any) -> None:
-    """Raises the ConfigError of a robot that no stage can work on."""
-    if hasattr(config, "robot"):
-        from qjrl.robot import robot_from_mapping
-
-        robot_from_mapping(config.robot)
-
-
-def robot_hash_of(config: Any) -> str | None:
-    """Of the robot a stage works on; a stage that names its robots itself says what they are by `robot_hash`."""
-    if hasattr(config, "robot_hash"):
-        return config.robot_hash
-    from qjrl.robot import robot_from_mapping, robot_hash
-
-    return robot_hash(robot_from_mapping(config.robot)) if hasattr(config, "robot") else None

@@ -1,6 +1,7 @@
 """The floors of the house: imports point down, none across except inside one folder."""
 
 import ast
+import graphlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,8 +24,9 @@ FLOORS = {
     "solvers": 3,
     "control": 4,
     "deployment": 4,
-    "analysis": 4,
+    "report": 4,
     "stages": 5,
+    "studies": 5,
     "pipeline": 6,
     "cli": 7,
     "__main__": 8,
@@ -38,7 +40,8 @@ FLOORS |= {
     "csv_rows": 1,
     "shipped": 1.5,
     "measured": 1.5,
-    "stage": 5,
+    "stage_config": 3,
+    "stage": 5.5,
     "sweep": 6,
 }
 # What the ground stands on: YAML and JSON as they are read and written, errors of the machine.
@@ -78,6 +81,34 @@ def test_imports_point_down(file: Path) -> None:
         assert FLOORS[part] < FLOORS[own] or is_ground, f"{own} (floor {FLOORS[own]}) imports {part} ({FLOORS[part]})"
 
 
+def folder_of(module: str) -> tuple[str, ...]:
+    """The folder below a part of the package that a module lies in: `qjrl.control.path.files` -> `control`, `path`."""
+    names = module.split(".")[1:]
+    return tuple(names[:2]) if PACKAGE.joinpath(*names[:2]).is_dir() else ()
+
+
+def folders_imported() -> dict[tuple[str, ...], set[tuple[str, ...]]]:
+    """Folder below a part of the package -> the other folders of the same part that its files import."""
+    found: dict[tuple[str, ...], set[tuple[str, ...]]] = {}
+    for file in FILES:
+        own = folder_of(".".join(("qjrl", *file.relative_to(PACKAGE).with_suffix("").parts)))
+        others = {folder_of(module) for module in modules_imported(file) if part_of(module) == own_part(file)}
+        found.setdefault(own, set()).update(others - {own, ()})
+    return found
+
+
+def test_no_study_imports_another() -> None:
+    assert not {own: others for own, others in folders_imported().items() if own[:1] == ("studies",) and others}
+
+
+def test_no_two_folders_side_by_side_import_each_other() -> None:
+    found = folders_imported()
+    below = {own: others for own, others in found.items() if own}
+    tuple(graphlib.TopologicalSorter(below).static_order())  # raises CycleError, naming the folders
+    assert ("control", "tracking") not in found["control", "tension"]
+    assert ("control", "tension") not in found["control", "tracking"]
+
+
 def files_importing(*packages: str) -> set[str]:
     roots = {file: {module.split(".")[0] for module in modules_imported(file)} for file in FILES}
     return {own_part(file) for file, imported in roots.items() if imported & set(packages)}
@@ -87,8 +118,8 @@ def test_only_the_door_knows_hydra() -> None:
     assert files_importing("hydra", "omegaconf") <= {"cli"}
 
 
-def test_only_analysis_draws_with_matplotlib() -> None:
-    assert files_importing("matplotlib") <= {"analysis"}
+def test_only_the_report_and_studies_draw_with_matplotlib() -> None:
+    assert files_importing("matplotlib") <= {"report", "studies"}
 
 
 def test_only_progress_and_the_door_know_rich() -> None:

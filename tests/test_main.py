@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,7 +16,11 @@ import pytest
 from command import Command, Said, assert_one_line, run_command
 
 from qjrl import artifacts, config, pipeline
+from qjrl.cli.overview import overview
 from qjrl.learning.divergence import TrainingDiverged
+from qjrl.pipeline import STAGES
+from qjrl.report.output import Output
+from qjrl.stage_config import RobotStageConfig
 
 ROOT = Path(__file__).parent.parent
 
@@ -34,7 +39,7 @@ def qjrl(tmp_path, monkeypatch, capsys) -> Command:
 def two_stages(qjrl, monkeypatch) -> Command:
     """The command with two small stages in place of the real ones; they take the whole configuration as it is."""
 
-    def count(config: Any, inputs: dict[str, Path], out: Path) -> None:
+    def count(config: Any, inputs: dict[str, Path], out: Path) -> Output:
         if config.seed == 13:
             raise RuntimeError("thirteen")
         if config.seed == 14:
@@ -42,16 +47,16 @@ def two_stages(qjrl, monkeypatch) -> Command:
                 raise TrainingDiverged("iteration 14: 20.0% of the steps diverged")
             except TrainingDiverged as error:
                 raise TrainingDiverged(f"{error}; states: diverged.npz") from error
-        artifacts.write_json(out / "metrics.json", {"far": {"learned": {"position_median_mm": config.seed / 2}}})
+        return Output({"far": {"learned": {"position_median_mm": config.seed / 2}}})
 
     entries = [
         entry for entry in config.read_yaml(config.conf_folder() / "config.yaml")["defaults"] if entry != "_self_"
     ]
-    groups = [name for entry in entries for name in entry if "override" not in name]
+    groups = {name for entry in entries for name in entry if "override" not in name}
     fake = ModuleType("fake")
-    fake.__dict__.update(
-        run=count, Config=dataclasses.make_dataclass("Config", [*((name, dict) for name in groups), ("seed", int)])
-    )
+    fields = [(name, dict) for name in sorted(groups - {"robot"})]
+    kind = dataclasses.make_dataclass("Config", fields, bases=(RobotStageConfig,), frozen=True)
+    fake.__dict__.update(run=count, Config=kind)
     monkeypatch.setitem(sys.modules, "fake", fake)
     stages = {
         "sample": pipeline.Stage("fake", "first", writes="dataset"),
@@ -85,12 +90,28 @@ def test_help_answers_at_once_with_stages_groups_and_examples(tmp_path) -> None:
         assert word in out
 
 
-def test_help_imports_neither_jax_nor_mujoco(tmp_path) -> None:
+def test_help_shows_every_stage_once_under_the_pipeline_the_tools_or_the_studies() -> None:
+    headings = ("Pipeline", "Tools", "Studies", "Groups")
+    text = overview()
+    starts = [text.index(f"\n{heading}") for heading in headings]
+    assert starts == sorted(starts)
+    shown = {
+        heading: re.findall(r"^  (\w+) .*\(\w+/\)$", text[start:end], re.MULTILINE)
+        for heading, start, end in zip(headings, starts, starts[1:], strict=False)
+    }
+    assert sorted(name for names in shown.values() for name in names) == sorted(STAGES)
+    assert shown["Pipeline"] == [name for name, stage in STAGES.items() if stage.default]
+    assert all(STAGES[name].module == f"qjrl.studies.{name}.stage" for name in shown["Studies"])
+    assert all(STAGES[name].module == f"qjrl.stages.{name}" for name in (*shown["Pipeline"], *shown["Tools"]))
+
+
+def test_help_imports_neither_jax_nor_mujoco_and_no_stage(tmp_path) -> None:
     program = "import sys; sys.argv[1:] = ['--help']; from qjrl.__main__ import main; main(); print(*sys.modules)"
     with in_a_process(["-c", program], tmp_path) as process:
         modules = set(process.communicate()[0].split())
     assert "qjrl.pipeline" in modules
     assert not modules & {"jax", "mujoco", "brax", "hydra", "matplotlib"}
+    assert not [name for name in modules if name.startswith(("qjrl.stages", "qjrl.studies"))]
 
 
 def test_a_mistake_in_a_process_of_its_own_is_one_line_on_stderr(tmp_path) -> None:

@@ -12,6 +12,8 @@ from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError, Range
 from qjrl.pipeline import Stage
+from qjrl.report.output import Output
+from qjrl.stage_config import StageConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -25,13 +27,12 @@ class Second:
 
 
 @dataclasses.dataclass(frozen=True)
-class FirstConfig:
+class FirstConfig(StageConfig):
     first: First
-    seed: int
 
 
 @dataclasses.dataclass(frozen=True)
-class SecondConfig:
+class SecondConfig(StageConfig):
     second: Second
 
 
@@ -43,16 +44,16 @@ def calls(monkeypatch) -> list[str]:
     """Two fake stages, the second reading the first; the list records each run of one."""
     calls: list[str] = []
 
-    def run_first(config: FirstConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_first(config: FirstConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append("first, going on" if (out / "partial.json").exists() else "first")
         artifacts.write_json(out / "partial.json", 0)
         if config.first.count == 7:
             raise KeyboardInterrupt
-        artifacts.write_json(out / "count.json", config.first.count)
+        return Output(records={"count": config.first.count})
 
-    def run_second(config: SecondConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_second(config: SecondConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append("second")
-        artifacts.write_json(out / "product.json", config.second.gain * artifacts.load(inputs["first"] / "count.json"))
+        return Output(records={"product": config.second.gain * artifacts.load(inputs["first"] / "count.json")})
 
     for name, kind, run in (("first", FirstConfig, run_first), ("second", SecondConfig, run_second)):
         module = ModuleType(f"fake_{name}")
@@ -118,19 +119,19 @@ def test_an_input_that_is_missing_or_unfinished_is_one_line_that_says_what_to_ru
 def test_all_stages_that_are_missing_are_named_at_once(tmp_path, calls, monkeypatch) -> None:
     stages = pipeline.STAGES | {"third": Stage("fake_second", "multiplies", reads=("first", "second"), writes="three")}
     monkeypatch.setattr(pipeline, "STAGES", stages)
-    configs = {"third": SecondConfig(Second())}
+    configs = {"third": SecondConfig(Second(), seed=1)}
     with pytest.raises(ArtifactError, match=r"one, which does not exist; run stages=\[first,second,third\]"):
         pipeline.run(["third"], configs, tmp_path)
     run(tmp_path, stages=["first"])
     with pytest.raises(ArtifactError, match=r"two, which does not exist; run stages=\[second,third\]"):
         pipeline.run(["third"], configs, tmp_path)
-    pipeline.run(["second", "third"], configs | {"second": SecondConfig(Second())}, tmp_path)
+    pipeline.run(["second", "third"], configs | {"second": SecondConfig(Second(), seed=1)}, tmp_path)
     assert calls == ["first", "second", "second"]
 
 
 def test_what_a_stage_finds_outside_of_its_configuration_is_part_of_its_identity(tmp_path, calls, monkeypatch) -> None:
     for outside in ({}, {"missing": "onnx"}, {"missing": "onnx"}, {}, {"missing": "h5"}):
-        monkeypatch.setattr(FirstConfig, "packages", outside, raising=False)
+        monkeypatch.setattr(FirstConfig, "packages", outside)
         run(tmp_path, stages=["first"])
     assert calls == ["first"] * 3  # the fourth takes the first's output back
 
@@ -145,10 +146,9 @@ def test_a_second_run_in_the_same_directory_is_refused(tmp_path, calls) -> None:
 
 
 @dataclasses.dataclass(frozen=True)
-class ShareConfig:
+class ShareConfig(StageConfig):
     """A stage that two processes may share: each writes its number, the whole adds them."""
 
-    seed: int
     share: int | None = None
 
     @property
@@ -156,23 +156,23 @@ class ShareConfig:
         return None if self.share is None else f"{self.share}-of-2"
 
     def whole(self) -> "ShareConfig":
-        return ShareConfig(self.seed)
+        return ShareConfig(seed=self.seed)
 
-    def parts(self) -> "dict[str | None, ShareConfig]":
-        configs = [ShareConfig(self.seed, share) for share in range(2)]
-        return {config.part: config for config in configs}
+    def parts(self) -> "dict[str, ShareConfig]":
+        configs = [ShareConfig(share, seed=self.seed) for share in range(2)]
+        return {str(config.part): config for config in configs}
 
 
 @pytest.fixture
 def shared(calls, monkeypatch) -> list[str]:
     """The first of the two fake stages becomes one that can be shared."""
 
-    def run_share(config: ShareConfig, inputs: dict[str, Path], out: Path) -> None:
+    def run_share(config: ShareConfig, inputs: dict[str, Path], out: Path) -> Output:
         calls.append(config.part or "whole")
         if config.part:
-            return artifacts.write_json(out / "count.json", config.seed + (config.share or 0))
+            return Output(records={"count": config.seed + (config.share or 0)})
         counts = [artifacts.load(path) for path in artifacts.parts_of(out).glob("*-of-2/count.json")]
-        artifacts.write_json(out / "count.json", sum(counts))
+        return Output(records={"count": sum(counts)})
 
     monkeypatch.setattr(sys.modules["fake_first"], "Config", ShareConfig)
     monkeypatch.setattr(sys.modules["fake_first"], "run", run_share)
@@ -284,7 +284,7 @@ def test_a_stage_refuses_a_combination_only_where_it_is_asked_for(calls, monkeyp
         if config.second.gain == 3.0:
             raise ConfigError("second: refuses this")
 
-    monkeypatch.setattr(SecondConfig, "check", check, raising=False)
+    monkeypatch.setattr(SecondConfig, "check", check)
     odd = TREE | {"second": {"gain": 3.0}}
     assert pipeline.build_needed(odd, ["first"])["second"].second.gain == 3.0
     for names in (["second"], ["first", "second"]):

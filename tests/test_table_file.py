@@ -11,8 +11,8 @@ from arms import arm_named
 from scipy.spatial.transform import Rotation
 
 from qjrl.config import ConfigError
+from qjrl.control.path.files import ALLOWED_COLUMNS, POSE_LAYOUTS, read_points
 from qjrl.control.tension.path import cable_quantity, read_path
-from qjrl.control.tracking.files import ALLOWED_COLUMNS, POSE_LAYOUTS, read_points
 from qjrl.robot import cable_strokes
 from qjrl.table_file import read_table
 

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from qjrl.analysis.solvers.protocol import CaseConfig, draw_targets
 from qjrl.provenance import provenance
 from qjrl.robot import forward_kinematics, load_robot
 from qjrl.robot.quaternion_arm.differential import tip_of
 from qjrl.solvers import draw_candidates, solve_fabrik, solve_least_squares
+from qjrl.studies.table3.protocol import CaseConfig, draw_targets
 
 NUM_TARGETS, NUM_FABRIK, NUM_SINGLE, NUM_REPEATS = 8192, 1024, 50, 5
 

@@ -9,11 +9,11 @@ os.environ["JAX_ENABLE_X64"] = "1"
 import jax
 import jax.numpy as jnp
 
-from qjrl.analysis.workspace.occupancy import ring_grid
-from qjrl.analysis.workspace.survey import reach_bound
-from qjrl.analysis.workspace.tip_clouds import BATCH, count_hits, in_float32, spatial_bends
 from qjrl.provenance import provenance
 from qjrl.robot import forward_kinematics, load_robot
+from qjrl.studies.workspace.occupancy import ring_grid
+from qjrl.studies.workspace.survey import reach_bound
+from qjrl.studies.workspace.tip_clouds import BATCH, count_hits, in_float32, spatial_bends
 
 ARMS = ("qj_2222", "qj_huang_4332")
 BATCHES = 16

@@ -8,10 +8,12 @@ qjrl {version}: the toolkit for cable-driven arms made of quaternion joints
 
   qjrl [stages=[...]] [GROUP=CHOICE] [+experiment=NAME] [KEY=VALUE ...] [-m]
 
-Stages, in the order of the data flow; each writes to outputs/NAME/DIRECTORY
-{stages}
-On demand (stages=[...])
-{on_demand}
+Pipeline: the stages that run when none are asked for; each writes to outputs/NAME/DIRECTORY
+{pipeline}
+Tools for your own arm (stages=[...])
+{tools}
+Studies: experiments, with their figures and tables (stages=[...])
+{studies}
 Groups (* is the default)
 {groups}
 Values
@@ -31,10 +33,10 @@ The same command again skips what is done and goes on where it was interrupted.
 
 def overview() -> str:
     """Stages, groups, values and examples."""
-    stages = {True: "", False: ""}
+    stages, width = {"pipeline": "", "tools": "", "studies": ""}, max(map(len, pipeline.STAGES))
     for name, stage in pipeline.STAGES.items():
-        stages[stage.default] += f"  {name:<15} {stage.summary} ({stage.writes}/)\n"
-    return _TEXT.format(version=__version__, stages=stages[True], on_demand=stages[False], groups=_groups())
+        stages[stage.group] += f"  {name:<{width}} {stage.summary} ({stage.writes}/)\n"
+    return _TEXT.format(version=__version__, groups=_groups(), **stages)
 
 
 def _groups() -> str:

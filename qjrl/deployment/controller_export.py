@@ -4,12 +4,11 @@ import dataclasses
 import hashlib
 import importlib.metadata
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import jax
 
-from qjrl import artifacts, progress
+from qjrl import progress
 from qjrl.config import ConfigError, Range, configuration
 from qjrl.deployment import onnx_controller, onnx_model, stablehlo
 from qjrl.deployment.contract import FORMAT, function_contract, robot_contract
@@ -75,21 +74,18 @@ def export_files(
     return ControllerExport(deployed, files, parity, controllers)
 
 
-def write_controller(
+def controller_contract(
     export: ControllerExport,
     robot: Robot,
     config: ControllerExportConfig,
     settings: Mapping[str, Any],
     provenance: Mapping[str, Any],
-    out: Path,
-) -> None:
-    """The files, each whole or not at all, then `contract.json`.
+) -> dict[str, Any]:
+    """What `contract.json` says beside the files.
 
     Args:
         settings: what the controller was configured with, for the reader of the contract.
     """
-    for name, content in export.files.items():
-        artifacts.write_bytes(out / name, content)
     functions = (export.deployed.begin, export.deployed.step)
     made_by = onnx_model.versions() if any(name.endswith("onnx") for name in export.files) else {}
     about = {
@@ -104,7 +100,7 @@ def write_controller(
         "config_hash": provenance["config_hash"],
         "inputs": provenance["inputs"],
     }
-    artifacts.write_json(out / "contract.json", about | robot_contract(robot))
+    return about | robot_contract(robot)
 
 
 def _file(function: DeployedFunction, suffix: str, config: ControllerExportConfig) -> bytes:

@@ -142,10 +142,8 @@ def export_controller(
     return Export(files, functions, metrics)
 
 
-def write_export(export: Export, robot: Robot, precision: Precision, provenance: Mapping[str, Any], out: Path) -> None:
-    """The files, each whole or not at all, then `contract.json` and `metrics.json`."""
-    for name, content in export.files.items():
-        artifacts.write_bytes(out / name, content)
+def contract_of(export: Export, robot: Robot, precision: Precision, provenance: Mapping[str, Any]) -> dict[str, Any]:
+    """What `contract.json` says beside the files."""
     about = {
         "format": FORMAT,
         "precision": precision,
@@ -155,8 +153,7 @@ def write_export(export: Export, robot: Robot, precision: Precision, provenance:
         "config_hash": provenance["config_hash"],
         "inputs": provenance["inputs"],
     }
-    artifacts.write_json(out / "contract.json", about | robot_contract(robot) | export.metrics)
-    artifacts.write_json(out / "metrics.json", export.metrics)
+    return about | robot_contract(robot) | export.metrics
 
 
 def _make_files(

@@ -1,33 +1,30 @@
 """Stage `compare`: every controller on the same held-out targets, and the report of the run."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis import metrics as measures
-from qjrl.analysis.controllers import sections
-from qjrl.analysis.controllers.answers import outcome_of
-from qjrl.analysis.controllers.outcomes import Outcome, controller_label
-from qjrl.analysis.report import Report, write_report
-from qjrl.analysis.report_html import Number
-from qjrl.analysis.tables import as_text
 from qjrl.control.bases import BASES, controller_name
 from qjrl.control.comparison import compare_controllers
 from qjrl.control.policy_training import PolicyConfig, check_control_period
+from qjrl.control.target_files import TARGET_COLUMNS, read_targets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.measured import read_metrics, read_progress
-from qjrl.provenance import read_provenance
 from qjrl.records import NUMBER, Kinds
+from qjrl.report import metrics as measures
+from qjrl.report.answers import outcome_of
+from qjrl.report.compare import sections
+from qjrl.report.html import Number
+from qjrl.report.outcomes import Outcome, controller_label
+from qjrl.report.output import Output
+from qjrl.report.page import Report
 from qjrl.robot import configuration_from_joint_positions, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.stages.ik import TARGET_COLUMNS, read_targets
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 _ERRORS: Kinds = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
 _FITTED: Kinds = {
@@ -45,20 +42,19 @@ _TRAINED: Kinds = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     policy: PolicyConfig
     name: str
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""
         check_control_period(self.policy.environment, self.simulation.timestep)
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `outcomes.npz` and `report.html`; the table goes to the log."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `outcomes.npz` and `report.html`; tables and verdict are shown."""
+    del out
     robot, measured = robot_from_mapping(config.robot), _measured(inputs)
     targets = read_targets(inputs["ik"] / "held_out.npz", _NEEDED)
     policy = load_policy(inputs["policy"] / "policy")
@@ -70,20 +66,22 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         for (target_set, name), (one, left_out) in evaluated.items()
     ]
     verdict = _verdict(config, outcomes, measured.trained)
-    artifacts.write_arrays(out / "outcomes.npz", _columns(outcomes))
-    artifacts.write_json(
-        out / "metrics.json",
-        {
-            "headline": verdict.headline,
-            "ratios": verdict.ratios,
-            "ratio_intervals": verdict.intervals,
-            "controllers": measures.metrics_of(outcomes),
-        },
+    metrics = {
+        "headline": verdict.headline,
+        "ratios": verdict.ratios,
+        "ratio_intervals": verdict.intervals,
+        "controllers": measures.metrics_of(outcomes),
+    }
+    return Output(
+        metrics,
+        {"outcomes": _columns(outcomes)},
+        pages={"report": _report(config, robot, inputs, outcomes, targets, measured)},
+        shown=(
+            measures.error_table(outcomes),
+            measures.tension_table(outcomes),
+            f"{verdict.headline}. {verdict.detail}",
+        ),
     )
-    write_report(out / "report.html", _report(config, robot, inputs, out, outcomes, targets, measured))
-    log.info("%s", as_text(measures.error_table(outcomes)))
-    log.info("%s", as_text(measures.tension_table(outcomes)))
-    log.info("%s. %s", verdict.headline, verdict.detail)
 
 
 def _verdict(config: Config, outcomes: list[Outcome], trained: dict) -> measures.Verdict:
@@ -136,7 +134,6 @@ def _report(
     config: Config,
     robot: Robot,
     inputs: dict[str, Path],
-    out: Path,
     outcomes: list[Outcome],
     targets,
     measured: _Measured,
@@ -160,7 +157,6 @@ def _report(
             _policy_section(measured.training, measured.trained),
         ),
         durations={stage: _seconds(path) for stage, path in inputs.items()},
-        provenance=read_provenance(out),
     )
 
 

@@ -1,7 +1,6 @@
 """Stage `deploy`: the controller with its policy as files, run in real time against C MuJoCo, recorded and replayed."""
 
 import dataclasses
-import logging
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -9,12 +8,6 @@ import jax
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.deployed.figures import errors_over_time, latency_histogram
-from qjrl.analysis.deployed.report import deployment_report, episode_table, headline, target_mark
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
-from qjrl.analysis.tracking.viewer import track_viewer
 from qjrl.config import ConfigError, as_mapping
 from qjrl.control.bases import command_column, environment_of
 from qjrl.control.deployable import ControllerFunctions, checked_policy, controller_functions
@@ -22,9 +15,10 @@ from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.evaluation import arrives_in_time
 from qjrl.control.policy_training import PolicyConfig, check_control_period
 from qjrl.control.simulated_arm import SimulatedArm, rehearse
+from qjrl.control.target_files import read_targets
 from qjrl.deployment import onnx_model
 from qjrl.deployment.controller import deployed_controller
-from qjrl.deployment.controller_export import ControllerExport, export_files, write_controller
+from qjrl.deployment.controller_export import ControllerExport, controller_contract, export_files
 from qjrl.deployment.controller_parity import Rehearsal
 from qjrl.deployment.deploy import DeployConfig, deploy
 from qjrl.deployment.real_time import Schedule
@@ -33,22 +27,22 @@ from qjrl.deployment.safety import ASKED, SafeController, reading_limits
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.provenance import read_provenance
+from qjrl.report.deploy.figures import errors_over_time, latency_histogram
+from qjrl.report.deploy.report import deployment_report, episode_table, headline, target_mark
+from qjrl.report.output import Output
+from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
-from qjrl.stages.ik import read_targets
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     policy: PolicyConfig
     deploy: DeployConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps."""
@@ -69,8 +63,8 @@ class Config:
         return onnx_model.missing_for(self.deploy.files.onnx)
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write the files, `contract.json`, `log.npz`, `metrics.json`, figures and `deploy.html`; or nothing if a check fails."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """The files, `contract.json`, `log.npz`, `metrics.json`, figures and `deploy.html`; or nothing if a check fails."""
     robot, settings = robot_from_mapping(config.robot), config.deploy
     recorded = load_record(_where(settings.replay, out), robot_hash(robot)) if settings.replay else None
     environment = environment_of(config.policy.environment, config.policy.base)
@@ -80,13 +74,11 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     targets = _targets(config, robot, held_out)
     arm = SimulatedArm(robot, environment.randomisation, config.simulation.timestep, config.seed)
     export = _export(config, robot, environment, policy, arm, targets)
-    provenance = read_provenance(out)
     about = as_mapping(environment.controller) | {"base": config.policy.base, "largest_age": settings.largest_age}
-    write_controller(export, robot, settings.files, about, provenance, out)
+    contract = controller_contract(export, robot, settings.files, about, read_provenance(out))
     files = export.controllers["control_step.stablehlo"]
     controller = SafeController(files, settings.largest_age, reading_limits(robot), environment.control_period)
     record = recorded or _play(config, robot, environment, controller, arm, targets)
-    artifacts.write_arrays(out / "log.npz", record)
     position, orientation = row_errors(record["pose"], record["target"][record["episode"]])
     metrics = {
         "timing": timing(record),
@@ -96,20 +88,22 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "is_viewed": settings.view,
     }
     metrics["is_quick_enough"] = metrics["timing"]["latency_p99_ms"] <= 1e3 * settings.accepted_latency
-    artifacts.write_json(out / "metrics.json", metrics)
     figures = {
         "latency": latency_histogram(record["latency"][np.isin(record["flag"], ASKED)], settings.accepted_latency),
         "error": errors_over_time(record, position),
     }
-    for name, figure in figures.items():
-        save_png(figure, out / f"{name}.png", dpi=110)
     first = record["episode"] == 0
     time = record["period"][first] * float(record["control_period"])
     animation = track_viewer(robot, time, record["joint_positions"][first], target_mark(record["target"][0]))
-    page = deployment_report(f"{robot.name} in real time", metrics, animation, figures, provenance)
-    write_report(out / "deploy.html", page)
-    log.info("%s", as_text(episode_table(metrics)))
-    log.info("deploy: %s", headline(metrics))
+    return Output(
+        metrics,
+        {"log": record},
+        figures,
+        pages={"deploy": deployment_report(f"{robot.name} in real time", metrics, animation, figures)},
+        records={"contract": contract},
+        files=export.files,
+        shown=(episode_table(metrics), f"deploy: {headline(metrics)}"),
+    )
 
 
 def _where(replay: str, out: Path) -> Path:

@@ -1,34 +1,30 @@
 """Stage `describe`: say what an arm is, from its description, its closed form and a few hundred settled poses."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
 
-from qjrl import artifacts, progress
-from qjrl.analysis.arm_drawing import draw_arm
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.description import description_text
+from qjrl import progress
 from qjrl.control.targets import draw_configurations
+from qjrl.report.arm_drawing import draw_arm
+from qjrl.report.description import description_text
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     describe: DescribeConfig
-    seed: int
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `description.json`, `description.txt` and `arm.png`; the text goes to the log too."""
-    del inputs
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`description.json`, `description.txt` and `arm.png`; the text is shown too."""
+    del inputs, out
     robot = robot_from_mapping(config.robot)
     kinematics = survey_kinematics(robot)
     with progress.track(config.describe.num_poses, "settling") as advance:
@@ -39,7 +35,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     bends = np.concatenate(
         [np.zeros((1, robot.num_segments, 2)), draw_configurations(robot, "uniform", 2, config.seed)]
     )
-    save_png(draw_arm(robot, bends), out / "arm.png")
-    artifacts.write_json(out / "description.json", {"kinematics": kinematics, "physics": physics, "warnings": warnings})
-    artifacts.write_bytes(out / "description.txt", f"{text}\n".encode())
-    log.info("%s", text)
+    return Output(
+        records={"description": {"kinematics": kinematics, "physics": physics, "warnings": warnings}},
+        files={"description.txt": f"{text}\n".encode()},
+        figures={"arm": draw_arm(robot, bends)},
+        shown=(text,),
+    )

@@ -1,24 +1,21 @@
 """Stage `export`: forward model and inverse kinematics as files that run without qjrl, and the contract beside them."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 from qjrl import progress
 from qjrl.deployment import onnx_model
-from qjrl.deployment.export import ExportConfig, export_controller, held_out_rows, write_export
+from qjrl.deployment.export import ExportConfig, contract_of, export_controller, held_out_rows
 from qjrl.provenance import read_provenance
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     export: ExportConfig
-    seed: int
 
     @property
     def packages(self) -> dict[str, str]:
@@ -26,17 +23,19 @@ class Config:
         return onnx_model.missing_for(self.export.onnx)
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `*.stablehlo`, `forward_model.onnx`, `contract.json` and `metrics.json`, or nothing if a check fails."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`*.stablehlo`, `forward_model.onnx`, `contract.json` and `metrics.json`, or nothing if a check fails."""
     robot = robot_from_mapping(config.robot)
     model = load_forward_model(inputs["forward_model"] / "model", robot)
     held_out = held_out_rows(robot, inputs["sample"], inputs["forward_model"], model.config)
     with progress.compiling("the exported functions and their checks"):
         export = export_controller(robot, model, config.export, held_out, config.seed)
-    provenance = read_provenance(out)
-    write_export(export, robot, config.export.precision, provenance, out)
-    for file, report in export.metrics["parity"].items():
-        log.info("export: %s", _line(file, report))
+    return Output(
+        export.metrics,
+        records={"contract": contract_of(export, robot, config.export.precision, read_provenance(out))},
+        files=export.files,
+        shown=[f"export: {_line(file, report)}" for file, report in export.metrics["parity"].items()],
+    )
 
 
 def _line(file: str, report: dict) -> str:

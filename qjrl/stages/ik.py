@@ -1,49 +1,31 @@
 """Stage `ik`: invert the forward model, settle every answer in the physics, and write the policy's target bank."""
 
 import dataclasses
-import logging
 import time
-from collections.abc import Collection
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from qjrl import artifacts, progress
-from qjrl.analysis.controllers.answers import outcomes_of_answers, predicted_errors
-from qjrl.analysis.metrics import metrics_of
 from qjrl.control.inversion import IKConfig, settle_answers, solve_both_sets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.keys import seed_for
+from qjrl.report.answers import outcomes_of_answers, predicted_errors
+from qjrl.report.metrics import metrics_of
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     ik: IKConfig
-    seed: int
 
 
-TARGET_COLUMNS = ("target_set", "target", "nominal_lengths", "learned_lengths")
-"""Of both files: targets, and what the closed form and the model answer."""
-
-
-def read_targets(path: Path, names: Collection[str] = TARGET_COLUMNS) -> dict[str, np.ndarray]:
-    """The columns of `held_out.npz` or `bank.npz`.
-
-    Raises:
-        ArtifactError: the file is damaged or lacks one of `names`.
-    """
-    return artifacts.load_columns(path, names, "what stage ik writes")
-
-
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `held_out.npz` (answers and what they settled at), `bank.npz` (targets to train on) and `metrics.json`."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`held_out.npz` (answers and what they settled at), `bank.npz` (targets to train on) and `metrics.json`."""
     robot = robot_from_mapping(config.robot)
     model = load_pose_function(inputs["forward_model"] / "model", robot)
     sets = len(TARGET_SETS)
@@ -55,7 +37,6 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     rate = sets * config.ik.num_held_out / (time.monotonic() - start)
     with progress.track(2 * sets * config.ik.num_held_out, "settling their answers") as advance:
         answers |= settle_answers(robot, config.simulation, answers, advance)
-    artifacts.write_arrays(out / "held_out.npz", answers)
     if not (out / "bank.npz").exists():
         with progress.track(sets * config.ik.num_bank, "inverting the policy's targets") as advance:
             bank = solve_both_sets(
@@ -67,18 +48,13 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "predicted": predicted_errors(answers, TARGET_SETS),
         "real": metrics_of(outcomes_of_answers(answers, TARGET_SETS)),
     }
-    artifacts.write_json(out / "metrics.json", metrics)
-    _report(metrics)
+    return Output(metrics, {"held_out": answers}, shown=list(_lines(metrics)))
 
 
-def _report(metrics: dict) -> None:
+def _lines(metrics: dict) -> Iterator[str]:
     for target_set, controllers in metrics["real"].items():
-        log.info(
-            "ik: %s targets, settled in the physics: learned %.3f mm and %.3f deg, nominal %.3f mm and %.3f deg (medians)",
-            target_set,
-            *(
-                controllers[name][f"{key}"]
-                for name in ("learned_ik", "nominal")
-                for key in ("position_median_mm", "orientation_median_deg")
-            ),
-        )
+        medians = [
+            f"{label} {controllers[name]['position_median_mm']:.3f} mm and {controllers[name]['orientation_median_deg']:.3f} deg"
+            for label, name in (("learned", "learned_ik"), ("nominal", "nominal"))
+        ]
+        yield f"ik: {target_set} targets, settled in the physics: {', '.join(medians)} (medians)"

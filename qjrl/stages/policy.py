@@ -1,46 +1,44 @@
 """Stage `policy`: train the residual policy on the target bank."""
 
 import dataclasses
-import logging
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from qjrl import artifacts
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, check_training, train_policy
+from qjrl.control.target_files import read_targets
 from qjrl.learning import processes
 from qjrl.measured import read_progress
 from qjrl.records import NUMBER, check_record
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
-from qjrl.stages.ik import read_targets
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 _AT_THE_START = ("evaluation/median_mm", "evaluation/uniform_median_mm", "evaluation/near_home_median_mm")
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     engine: EngineConfig
     policy: PolicyConfig
-    seed: int
 
     def check(self) -> None:
         """The control period holds whole time steps, and the devices share the arms."""
         check_training(self.policy, self.engine)
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `checkpoints/`, `progress.jsonl`, `physics_rates.jsonl`, `policy.npz` and `.json`, and `metrics.json`."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`; the training, which goes on from them, writes `checkpoints/`, `progress.jsonl`, `physics_rates.jsonl`,
+    `policy.npz` and `.json`."""
     robot = robot_from_mapping(config.robot)
     targets = read_targets(inputs["ik"] / "bank.npz")
     trained = train_policy(robot, config.engine, config.policy, targets, config.seed, out)
     if not processes.is_first():
-        return
+        return Output()
     records = read_progress(out / "progress.jsonl", "env_steps")
     rates = [record["steps_per_second"] for record in records if "steps_per_second" in record]
     physics = read_progress(out / PHYSICS_RATES, "physics_steps_per_second")
@@ -58,18 +56,17 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         "invalid_steps": int(sum(record.get("invalid", 0) for record in records)),
         start: {key: records[0][f"evaluation/{key}"] for key in ("uniform_median_mm", "near_home_median_mm")},
     }
-    artifacts.write_json(out / "metrics.json", metrics)
+    return Output(metrics, shown=list(_lines(metrics)))
+
+
+def _lines(metrics: dict[str, Any]) -> Iterator[str]:
     if metrics["kept_env_steps"] == 0:
-        baseline = {"base": "base", "untrained": "untrained policy"}[start]
-        log.info(
-            "policy: no trained checkpoint beats the %s on the evaluated targets; the untrained one is kept", baseline
-        )
-    log.info(
-        "policy: %d steps at %.0f/s, %.0f %% of the physics' alone, %.0f/s",
-        metrics["env_steps"],
-        metrics["steps_per_second"],
-        100.0 * metrics["share_of_physics_rate"],
-        metrics["physics_steps_per_second"],
+        baseline = "base" if "base" in metrics else "untrained policy"
+        yield f"policy: no trained checkpoint beats the {baseline} on the evaluated targets; the untrained one is kept"
+    yield (
+        f"policy: {metrics['env_steps']} steps at {metrics['steps_per_second']:.0f}/s, "
+        f"{100.0 * metrics['share_of_physics_rate']:.0f} % of the physics' alone, "
+        f"{metrics['physics_steps_per_second']:.0f}/s"
     )
 
 

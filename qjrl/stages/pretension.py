@@ -1,37 +1,30 @@
 """Stage `pretension`: the least pretension that keeps every strand taut over the workspace or along a path."""
 
 import dataclasses
-import logging
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.pretension import maps, report
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
 from qjrl.control.tension import pretension as search
 from qjrl.control.tension import pretension_numbers as numbers
-from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import cable_quantity, read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
-from qjrl.provenance import read_provenance
+from qjrl.control.tension_check import TensionCheck, check_tension
+from qjrl.report.output import Output
+from qjrl.report.pretension import maps, report
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     pretension: PretensionConfig
-    seed: int
 
     def check(self) -> None:
         if self.pretension.path is not None:  # a file that is no path is refused before any work
@@ -44,9 +37,9 @@ class Config:
         return {} if file is None else {file: artifacts.hash_of_file(Path(file))}
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `tensions.npz`, figures and `report.html`; table and override go to the log."""
-    del inputs
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `tensions.npz`, figures and `report.html`; table and override are shown."""
+    del inputs, out
     robot, settings = robot_from_mapping(config.robot), config.pretension
     poses = search.poses_to_keep(robot, settings, config.seed)
     with progress.track((len(search.curve_of(robot, settings)) + 1) * len(poses), "settling") as advance:
@@ -55,18 +48,19 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
     checks = found.checks | {choice.at: choice.check}
     shown = {pretension: checks[pretension] for pretension in dict.fromkeys((float(robot.pretension), choice.at))}
     metrics = numbers.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
-    artifacts.write_json(out / "metrics.json", metrics)
-    artifacts.write_arrays(out / "tensions.npz", _arrays(robot, found, choice))
     pictures = _pictures(robot, config, metrics, shown)
-    for name, (figure, _) in pictures.items():
-        save_png(figure, out / f"{name}.png", dpi=110)
-    provenance = read_provenance(out)
-    write_report(out / "report.html", report.pretension_report(metrics, pictures, provenance))
-    log.info("%s\n", as_text(report.curve_table(metrics)))
-    log.info("as described: %s", metrics["own"]["message"] or "every pose is safe")
-    if settings.path is None:
-        log.info("%s", report.on_fresh_poses(metrics))
-    log.info("%s%s", report.headline(metrics), f": {metrics['override']}" if metrics["override"] else "")
+    return Output(
+        metrics,
+        {"tensions": _arrays(robot, found, choice)},
+        figures={name: figure for name, (figure, _) in pictures.items()},
+        pages={"report": report.pretension_report(metrics, pictures)},
+        shown=(
+            report.curve_table(metrics),
+            f"as described: {metrics['own']['message'] or 'every pose is safe'}",
+            *([] if settings.path is not None else [report.on_fresh_poses(metrics)]),
+            report.headline(metrics) + (f": {metrics['override']}" if metrics["override"] else ""),
+        ),
+    )
 
 
 def _on_fresh_poses(robot: Robot, config: Config, pretension: float) -> dict:

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from qjrl import artifacts, progress
+from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.simulation.sampling import SampleConfig, num_rows, row_settings, rows_done, sample_dataset
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.sharding import join_parts, part_directories, remove_parts
+from qjrl.stage_config import RobotStageConfig
 
 log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     sample: SampleConfig
-    seed: int
 
     @property
     def part(self) -> str | None:
@@ -39,8 +39,8 @@ class Config:
         return {str(config.part): config for config in configs}
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `manifest.json` and shards; see `qjrl.simulation.sampling` and, where parts are there, `sharding`."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`manifest.json` and shards are written as rows settle; see `qjrl.simulation.sampling` and, where parts are there, `sharding`."""
     del inputs
     robot = robot_from_mapping(config.robot)
     total, identity = num_rows(config.sample), robot_hash(robot)
@@ -51,7 +51,8 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         sample_dataset(robot, config.simulation, config.sample, config.seed, out, advance)
     data = artifacts.load(out, identity)
     unsettled = int(np.sum(~data["converged"]))
-    log.info("sample: %d rows, %d never settled and are left out of training", len(data["seed"]), unsettled)
+    line = f"sample: {len(data['seed'])} rows, {unsettled} never settled and are left out of training"
+    return Output(shown=(line,))
 
 
 def _join(config: Config, parts: Path, out: Path, identity: str) -> None:

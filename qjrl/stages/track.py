@@ -1,41 +1,34 @@
 """Stage `track`: a path of poses becomes a cable trajectory, which is played in the physics."""
 
 import dataclasses
-import logging
 from pathlib import Path
 
 import numpy as np
 
 from qjrl import artifacts, progress
-from qjrl.analysis.canvas import save_png
-from qjrl.analysis.report import write_report
-from qjrl.analysis.tables import as_text
-from qjrl.analysis.tracking.figures import track_pictures
-from qjrl.analysis.tracking.report import headline, track_report
-from qjrl.analysis.tracking.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
-from qjrl.analysis.tracking.viewer import track_viewer
+from qjrl.control.path.paths import make_path, path_file
 from qjrl.control.tension.path import cable_quantity
 from qjrl.control.tracking.moving import moving_breaches, moving_message
-from qjrl.control.tracking.paths import make_path, path_file
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Evaluated, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
-from qjrl.provenance import read_provenance
+from qjrl.report.output import Output
+from qjrl.report.track.figures import track_pictures
+from qjrl.report.track.report import headline, track_report
+from qjrl.report.track.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
+from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
-
-log = logging.getLogger(__name__)
+from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
     track: TrackConfig
-    seed: int
 
     def check(self) -> None:
         # a file that is no path of this arm is refused before any work
@@ -49,8 +42,9 @@ class Config:
         return {} if file is None else {str(file): artifacts.hash_of_file(file)}
 
 
-def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    """Write `metrics.json`, `trajectory.npz`, figures and `track.html`; the table goes to the log."""
+def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    """`metrics.json`, `trajectory.npz`, figures and `track.html`; the table is shown."""
+    del out
     robot, settings = robot_from_mapping(config.robot), config.track
     model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
     with progress.compiling("the inverse kinematics of a whole path"):
@@ -70,21 +64,14 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> None:
         _positions(plan, evaluated["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
     )
     animation = track_viewer(robot, *_movie(evaluated["planned"]), plan.path.pose[:, :3])
-    for name, (figure, _) in drawn.items():
-        save_png(figure, out / f"{name}.png", dpi=110)
-    artifacts.write_arrays(out / "trajectory.npz", _columns(robot, settings, plan, evaluated["planned"]))
-    artifacts.write_json(out / "metrics.json", metrics)
-    page = track_report(
-        f"Path {settings.path} on {robot.name}",
+    title = f"Path {settings.path} on {robot.name}"
+    return Output(
         metrics,
-        settings.accepted_error,
-        animation,
-        drawn,
-        read_provenance(out),
+        {"trajectory": _columns(robot, settings, plan, evaluated["planned"])},
+        figures={name: figure for name, (figure, _) in drawn.items()},
+        pages={"track": track_report(title, metrics, settings.accepted_error, animation, drawn)},
+        shown=(tracking_table(metrics["played"]), headline(metrics, settings.accepted_error)),
     )
-    write_report(out / "track.html", page)
-    log.info("%s", as_text(tracking_table(metrics["played"])))
-    log.info("%s", headline(metrics, settings.accepted_error))
 
 
 def _tracked(one: Evaluated) -> Tracked:

@@ -12,7 +12,9 @@ from command import Command, run_command
 
 from qjrl import artifacts, pipeline
 from qjrl.config import conf_folder
+from qjrl.report.output import Output
 from qjrl.simulation.settle_problem import SettleConfig
+from qjrl.stage_config import RobotStageConfig
 
 CONF = """\
 defaults:
@@ -33,21 +35,20 @@ hydra:
 
 
 @dataclasses.dataclass(frozen=True)
-class Config:
-    robot: dict
+class Config(RobotStageConfig):
     simulation: SettleConfig
-    seed: int
 
 
-def settle(config: Config, inputs: dict[str, Path], out: Path) -> None:
+def settle(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     del inputs
     artifacts.append_shard(out, {"pose": np.full((4, 9), config.seed, float)}, "robot")
+    return Output()
 
 
-def fit(config: Config, inputs: dict[str, Path], out: Path) -> None:
-    del config
+def fit(config: Config, inputs: dict[str, Path], out: Path) -> Output:
+    del config, out
     mean = float(artifacts.load(inputs["first"], "robot")["pose"].mean())
-    artifacts.write_json(out / "metrics.json", {"mean": mean, "nothing": float("nan")})
+    return Output({"mean": mean, "nothing": float("nan")})
 
 
 @pytest.fixture

@@ -188,10 +188,12 @@ def test_any_solver_can_be_exported_and_without_the_extra_one_line_says_what_is_
     (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("qjrl")]
     assert "jax2onnx is not installed: pip install 'qjrl[onnx]'" in line
     assert set(export.files) == {"forward_model.stablehlo", "inverse_kinematics.stablehlo"}
-    assert export_stage.Config({}, wanted, 0).packages == {"missing for ONNX": "jax2onnx"}  # installed, it runs again
-    assert export_stage.Config({}, CONFIG, 0).packages == {}
+    assert export_stage.Config({}, wanted, seed=0).packages == {
+        "missing for ONNX": "jax2onnx"
+    }  # installed, it runs again
+    assert export_stage.Config({}, CONFIG, seed=0).packages == {}
     monkeypatch.undo()
-    assert export_stage.Config({}, wanted, 0).packages == {}
+    assert export_stage.Config({}, wanted, seed=0).packages == {}
     assert export.metrics["parity"]["inverse_kinematics.stablehlo"]["random"]["same_answer_share"] == 1.0
 
 

@@ -7,14 +7,15 @@ import pytest
 from arms import arm_named
 
 from qjrl.config import ConfigError
-from qjrl.control import held_out, inversion
-from qjrl.control.studies import feasibility, feedback, open_loop
+from qjrl.control import inversion
 from qjrl.control.tension import pretension
 from qjrl.control.tension.poses import workspace_poses
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.rested import require_rest, require_valid
 from qjrl.simulation.settling import SettleResult
 from qjrl.solvers import LeastSquaresConfig
+from qjrl.studies.accuracy import feasibility, feedback, held_out
+from qjrl.studies.open_loop import measure as open_loop
 
 ARM = arm_named("qj_22")
 HOME = np.tile([0.0, 0.0, 0.24, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0], (4, 1))
@@ -47,7 +48,7 @@ def test_every_study_that_settles_says_that_nothing_rests(monkeypatch):
     for module in (inversion, feasibility, feedback, open_loop):
         monkeypatch.setattr(module, "settle", restless)
     monkeypatch.setattr(held_out, "sample_rows", lambda *_, **__: {"converged": np.zeros(9, bool)})
-    monkeypatch.setattr("qjrl.control.tension.check.settle", restless)
+    monkeypatch.setattr("qjrl.control.tension_check.settle", restless)
     answers = Answers(np.zeros((4, 4)))
     monkeypatch.setattr(open_loop, "first_commands", lambda *_: {"fabrik": answers})
     monkeypatch.setattr(feasibility, "solve_model", lambda *_: answers)

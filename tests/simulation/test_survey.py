@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arms import altered, made_up_mapping
 
-from qjrl.analysis.description import description_text
+from qjrl.report.description import description_text
 from qjrl.robot import load_robot, robot_from_mapping
 from qjrl.simulation.survey import survey_kinematics, warnings_about
 

@@ -10,6 +10,7 @@ from qjrl import artifacts
 from qjrl.artifacts import ArtifactError
 from qjrl.config import conf_folder, read_yaml
 from qjrl.control.policy_training import PolicyConfig
+from qjrl.report.output import write_output
 from qjrl.simulation import SettleConfig
 from qjrl.stages import compare
 
@@ -44,8 +45,8 @@ def compared(tmp_path):
     for stage, record in LOGS.items():
         artifacts.append_json_line(inputs[stage] / "progress.jsonl", record)
     robot = read_yaml(conf_folder() / "robot" / "qj_22.yaml")
-    config = compare.Config(robot, SettleConfig(), PolicyConfig(), "tiny", 0)
-    return tmp_path, lambda: compare.run(config, inputs, tmp_path / "compare")
+    config = compare.Config(robot, SettleConfig(), PolicyConfig(), "tiny", seed=0)
+    return tmp_path, lambda: write_output(compare.run(config, inputs, tmp_path / "compare"), tmp_path / "compare")
 
 
 def test_whole_numbers_are_read_and_then_the_targets(compared) -> None:

@@ -7,6 +7,7 @@ from qjrl import artifacts, pipeline
 from qjrl.config import ConfigError, as_mapping, build, conf_folder, read_yaml
 from qjrl.control.tension.pretension import PretensionConfig
 from qjrl.provenance import provenance
+from qjrl.report.output import Output, write_output
 from qjrl.simulation import SettleConfig
 from qjrl.stages import pretension as stage
 
@@ -17,7 +18,7 @@ def run(out, **changes):
         num_poses=8, pretensions=(5.0, 30.0), resolution=1.0, num_angles=2, num_directions=3, **changes
     )
     artifacts.write_json(out / artifacts.PROVENANCE, provenance({}, 0, None))
-    stage.run(stage.Config(robot, SettleConfig(batch_size=32), settings, 0), {}, out)
+    write_output(stage.run(stage.Config(robot, SettleConfig(batch_size=32), settings, seed=0), {}, out), out)
     return artifacts.load(out / "metrics.json")
 
 
@@ -50,17 +51,17 @@ def test_a_path_that_no_pretension_keeps_is_named(tmp_path):
 
 
 def test_another_path_in_the_same_file_runs_the_stage_again(tmp_path, caplog, monkeypatch):
-    monkeypatch.setattr(stage, "run", lambda config, inputs, out: None)
+    monkeypatch.setattr(stage, "run", lambda config, inputs, out: Output())
     file, robot = tmp_path / "path.csv", read_yaml(conf_folder() / "robot" / "qj_22.yaml")
     for row in ("0.01,0,0.02,0", "0.01,0,0.02,0", "0.02,0,0.02,0"):
         file.write_text(f"1,5,3,7\n0,0,0,0\n{row}\n")
-        config = stage.Config(robot, SettleConfig(), PretensionConfig(path=str(file)), 0)
+        config = stage.Config(robot, SettleConfig(), PretensionConfig(path=str(file)), seed=0)
         with caplog.at_level("INFO"):
             pipeline.run(["pretension"], {"pretension": config}, tmp_path / "run")
     said = [line for line in caplog.messages if line.startswith("pretension: ")]
     assert said[0] == "pretension: starts" and said[1] == "pretension: done before and unchanged, skipped"
     assert said[2].startswith("pretension: configuration or inputs changed")
-    assert stage.Config(robot, SettleConfig(), PretensionConfig(), 0).files == {}
+    assert stage.Config(robot, SettleConfig(), PretensionConfig(), seed=0).files == {}
 
 
 def test_a_bad_path_is_refused_before_any_work(tmp_path):

@@ -14,14 +14,12 @@ from qjrl.config import as_mapping, conf_folder, read_yaml
 from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.inversion import IKConfig
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.control.studies.accuracy import AccuracyConfig
-from qjrl.control.studies.feasibility import UnreachableConfig
-from qjrl.control.studies.open_loop import OpenLoopConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.pipeline import STAGES
+from qjrl.report.output import write_output
 from qjrl.robot import load_robot, robot_hash
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model
 from qjrl.simulation import SettleConfig
@@ -29,7 +27,11 @@ from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.sampling import SampleConfig
 from qjrl.solvers import AdamConfig, FabrikConfig, LeastSquaresConfig
 from qjrl.solvers.least_squares import RoundConfig
-from qjrl.stages import accuracy, open_loop
+from qjrl.studies.accuracy import stage as accuracy
+from qjrl.studies.accuracy.feasibility import UnreachableConfig
+from qjrl.studies.accuracy.measure import AccuracyConfig
+from qjrl.studies.open_loop import stage as open_loop
+from qjrl.studies.open_loop.measure import OpenLoopConfig
 
 DEFAULT = [name for name, stage in STAGES.items() if stage.default]
 CONTROLLERS = {
@@ -225,7 +227,7 @@ def test_open_loop_settles_what_every_method_commands(finished, tmp_path):
         OpenLoopConfig(num_targets=5, fabrik=FabrikConfig(outer_iterations=20, batch_size=16)),
         seed=0,
     )
-    open_loop.run(config, {"forward_model": finished / "forward_model"}, tmp_path)
+    write_output(open_loop.run(config, {"forward_model": finished / "forward_model"}, tmp_path), tmp_path)
     metrics, raw = artifacts.load(tmp_path / "metrics.json"), artifacts.load(tmp_path / "outcomes.npz")
     for target_set in TARGET_SETS:
         assert metrics["controllers"][target_set].keys() == {"fabrik", "least_squares", "learned_ik"}
@@ -253,7 +255,7 @@ def test_accuracy_evaluates_every_controller_on_the_same_targets(finished, tmp_p
         seed=0,
     )
     inputs = {"sample": finished / "dataset", "forward_model": finished / "forward_model"}
-    accuracy.run(config, inputs, tmp_path)
+    write_output(accuracy.run(config, inputs, tmp_path), tmp_path)
     metrics = artifacts.load(tmp_path / "metrics.json")
     for number in ("after_0", "after_1"):
         assert metrics["exact"][number].keys() == {"fabrik", "least_squares", "learned_ik"}
@@ -272,5 +274,5 @@ def test_accuracy_evaluates_every_controller_on_the_same_targets(finished, tmp_p
     assert metrics["tension"]["any"]["tension_error_max_N"] < 0.1
     before = (tmp_path / "metrics.json").read_bytes()
     (tmp_path / "noisy-learned_ik.npz").unlink()
-    accuracy.run(config, inputs, tmp_path)
+    write_output(accuracy.run(config, inputs, tmp_path), tmp_path)
     assert (tmp_path / "metrics.json").read_bytes() == before  # what was interrupted goes on to the same end

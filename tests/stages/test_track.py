@@ -11,8 +11,8 @@ import pytest
 from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.config import ConfigError, as_mapping, build, conf_folder, read_yaml
-from qjrl.control.tracking.inversion import PathInversionConfig
-from qjrl.control.tracking.paths import ShapeConfig
+from qjrl.control.path.inversion import PathInversionConfig
+from qjrl.control.path.paths import ShapeConfig
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.learning.fitting import FittedNetwork
 from qjrl.learning.networks import NetworkConfig

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from qjrl import artifacts
-from qjrl.analysis.controllers.outcomes import Outcome
 from qjrl.config import conf_folder, read_yaml
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
+from qjrl.report.outcomes import Outcome
+from qjrl.report.output import write_output
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.engine import EngineConfig
 from qjrl.stages import compare, policy
@@ -52,7 +53,8 @@ def trained(tmp_path, monkeypatch, caplog):
         monkeypatch.setattr(policy, "train_policy", train_policy)
         (tmp_path / "policy").mkdir()
         with caplog.at_level("INFO"):
-            policy.run(of_stage(policy, starts_at_zero), {"ik": tmp_path / "ik"}, tmp_path / "policy")
+            output = policy.run(of_stage(policy, starts_at_zero), {"ik": tmp_path / "ik"}, tmp_path / "policy")
+            write_output(output, tmp_path / "policy")
         return artifacts.load(tmp_path / "policy" / "metrics.json"), caplog.text
 
     return run

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 
 from qjrl.config import ConfigError
+from qjrl.control.path.files import ALLOWED_COLUMNS, POSE_LAYOUTS
+from qjrl.control.path.inversion import PathInversionConfig, invert_path
+from qjrl.control.path.paths import PosePath, ShapeConfig, make_path
 from qjrl.control.tension.poses import PoseSet
-from qjrl.control.tracking.files import ALLOWED_COLUMNS, POSE_LAYOUTS
-from qjrl.control.tracking.inversion import PathInversionConfig, invert_path
-from qjrl.control.tracking.paths import PosePath, ShapeConfig, make_path
 from qjrl.robot import bends_from_cables, forward_kinematics
 from qjrl.robot.plausibility import LARGEST_PLANNED, check_cable_lengths
 from qjrl.robot.verbs import Robot

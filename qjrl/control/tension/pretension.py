@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range, configuration
-from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.path import path_poses
 from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
+from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.geometry.pose import row_errors
 from qjrl.keys import seed_for
 from qjrl.robot.verbs import Robot

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from qjrl.control.tension.check import TensionCheck
 from qjrl.control.tension.poses import PoseSet
 from qjrl.control.tension.pretension import (
     Choice,
@@ -14,6 +13,7 @@ from qjrl.control.tension.pretension import (
     needed_pretension,
     off_nominal,
 )
+from qjrl.control.tension_check import TensionCheck
 from qjrl.robot.quaternion_arm.naming import strand_name
 from qjrl.robot.verbs import Robot
 

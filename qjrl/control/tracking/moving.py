@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from qjrl.control.tension.check import bearer_name
+from qjrl.control.tension_check import bearer_name
 from qjrl.control.tracking.playing import Played
 from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.settling import SLACK_TENSION

@@ -10,8 +10,8 @@ import jax
 import numpy as np
 
 from qjrl.config import Range, configuration
-from qjrl.control.tracking.inversion import PathInversionConfig, path_errors
-from qjrl.control.tracking.paths import PosePath, ShapeConfig
+from qjrl.control.path.inversion import PathInversionConfig, path_errors
+from qjrl.control.path.paths import PosePath, ShapeConfig
 from qjrl.control.tracking.trajectory import CableTrajectory, MotionLimits, straight_path, time_path
 from qjrl.robot import joint_positions, strand_commands
 from qjrl.robot.plant import PhysicalParameters
@@ -27,7 +27,7 @@ class TrackConfig:
     """Group `track`."""
 
     path: str = "circle"
-    """"circle", "line", or a .csv or .npz file of poses, see `qjrl.control.tracking.paths.make_path`."""
+    """"circle", "line", or a .csv or .npz file of poses, see `qjrl.control.path.paths.make_path`."""
     shape: ShapeConfig = ShapeConfig()
     """Of the circle, the line; orientation; distance of waypoints."""
     inversion: PathInversionConfig = PathInversionConfig()

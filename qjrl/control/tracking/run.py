@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.control.tension.check import TensionCheck, check_tension
-from qjrl.control.tracking.errors import model_poses, path_errors
-from qjrl.control.tracking.inversion import CablePath, invert_path
-from qjrl.control.tracking.paths import PosePath, make_path
+from qjrl.control.path.errors import model_poses, path_errors
+from qjrl.control.path.inversion import CablePath, invert_path
+from qjrl.control.path.paths import PosePath, make_path
+from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.control.tracking.playing import Performance, Played, TrackConfig, TrackingErrors, evaluate, play
 from qjrl.control.tracking.trajectory import CableTrajectory, time_path
 from qjrl.robot.forward_model import PoseFunction, pose_function

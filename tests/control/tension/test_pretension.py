@@ -7,9 +7,9 @@ import pytest
 from arms import arm_named
 
 from qjrl.control.tension import pretension as search
-from qjrl.control.tension.check import TensionCheck, check_tension
 from qjrl.control.tension.poses import single_segment_poses, workspace_poses
 from qjrl.control.tension.pretension import PretensionConfig, Survey, choose, needed_pretension, survey
+from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.settling import SettleResult
 

@@ -6,7 +6,7 @@ import pytest
 from arms import arm_named
 from scipy.interpolate import make_interp_spline
 
-from qjrl.control.tracking.paths import LineConfig, ShapeConfig, make_path
+from qjrl.control.path.paths import LineConfig, ShapeConfig, make_path
 from qjrl.control.tracking.playing import Performance, Played, evaluate, play
 from qjrl.control.tracking.trajectory import MotionLimits, time_path
 from qjrl.robot import cable_lengths

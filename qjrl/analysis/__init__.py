@@ -1,1 +1,0 @@
-"""What the numbers say: metrics, tables, figures (the only matplotlib), MuJoCo pictures, the report."""

@@ -1,0 +1,1 @@
+"""What controllers did: tensions, training, and the sections of a run's report."""

@@ -1,0 +1,70 @@
+"""What the `Config` of every stage has, and what holds where a stage says nothing else."""
+
+import dataclasses
+from collections.abc import Mapping
+
+
+@dataclasses.dataclass(frozen=True)
+class StageConfig:
+    """Base of every stage's `Config`. Its fields are top-level keys of the configuration."""
+
+    seed: int = dataclasses.field(kw_only=True)
+    """Of everything random in the stage."""
+
+    @property
+    def robot_hash(self) -> str | None:
+        """Of the robots that the stage works on; None: it works on none."""
+        return None
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Path -> hash of every file that the stage reads beside its inputs; part of the stage's identity."""
+        return {}
+
+    @property
+    def packages(self) -> Mapping[str, str]:
+        """What -> which, of extras that change what the stage writes; part of the stage's identity."""
+        return {}
+
+    @property
+    def part(self) -> str | None:
+        """Name of the part of the stage that this process makes; None: all of it."""
+        return None
+
+    def parts(self) -> "Mapping[str, StageConfig]":
+        """Name -> `Config` of every part that the whole is made of; none where a stage has no parts."""
+        return {}
+
+    def whole(self) -> "StageConfig":
+        """The `Config` of all of the stage, the same for every part."""
+        return self
+
+    def check_robot(self) -> None:
+        """Raises the ConfigError of a robot that no stage can work on."""
+
+    def check(self) -> None:
+        """Raises the ConfigError of fields that each are allowed and together are not, or of a file that cannot be read.
+
+        It is asked before any work, and only of stages that are to run.
+        """
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotStageConfig(StageConfig):
+    """Base of the `Config` of a stage that works on the robot of the configuration."""
+
+    robot: dict
+    """The description of the robot as plain values."""
+
+    @property
+    def robot_hash(self) -> str | None:
+        """Of that robot."""
+        from qjrl.robot import robot_from_mapping, robot_hash
+
+        return robot_hash(robot_from_mapping(self.robot))
+
+    def check_robot(self) -> None:
+        """Raises the ConfigError of a robot that no stage can work on."""
+        from qjrl.robot import robot_from_mapping
+
+        robot_from_mapping(self.robot)

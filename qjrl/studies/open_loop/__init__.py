@@ -1,0 +1,1 @@
+"""Commands of the inverse-kinematics methods, settled in the physics."""
