@@ -10,6 +10,7 @@ from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
 from qjrl.robot.plant import PhysicalParameters
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig
@@ -49,7 +50,7 @@ def rates(
 
 def main() -> None:
     """Both engines on the same arms and commands."""
-    robot = load_robot(ROBOT)
+    robot = require_arm(load_robot(ROBOT), ROBOT)
     jax.config.update("jax_enable_x64", True)
     bends = jax.vmap(lambda key: uniform_bends(robot, key))(jax.random.split(jax.random.key(1), NUM_ARMS))
     commands = np.asarray(jax.vmap(lambda row: strand_commands(robot, cable_lengths(robot, row)))(bends))

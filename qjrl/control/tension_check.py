@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from qjrl.robot.quaternion_arm.naming import strand_name
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot, is_at_strength
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import SettleResult, settle
@@ -127,5 +127,5 @@ def bearer_name(robot: Robot, kind: Kind, column: int) -> str:
     if kind == "unsettled":
         return ""
     if kind == "motor":
-        return f"cable_{[number for pair in robot.config.cables.names for number in pair][column]}"
-    return strand_name(robot, column)
+        return verb(robot, "cable_names")(robot)[column]
+    return verb(robot, "strand_names")(robot)[column]

@@ -14,6 +14,7 @@ from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.learning.fitting import predict
 from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, make_network, model_inputs
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.robot.quaternion_arm.tip import tip_poses
 from qjrl.robot.verbs import Robot, bends_from_cables
 
@@ -66,14 +67,18 @@ def load(content: bytes) -> Callable[[Any], dict[str, np.ndarray]]:
 
 def _batched_forward_model(robot: Robot, model: ForwardModel) -> Callable[[jax.Array], jax.Array]:
     """`pose_function` over a batch, without what jax2onnx cannot translate: a vmapped dense layer, a scan over joints."""
-    form, network = model.config.form, make_network(robot, model.config)
+    arm, form, network = (
+        require_arm(robot, "the forward model in ONNX"),
+        model.config.form,
+        make_network(robot, model.config),
+    )
 
     def poses(lengths: jax.Array) -> jax.Array:
         answers = predict(network, model.fitted, jax.vmap(lambda row: model_inputs(robot, form, row))(lengths))
         if form == "paper":
             return answers.astype(lengths.dtype)
         bends = jax.vmap(lambda row: bends_from_cables(robot, row))(lengths)
-        return tip_poses(robot, bends + answers.astype(lengths.dtype).reshape(-1, robot.num_segments, 2))
+        return tip_poses(arm, bends + answers.astype(lengths.dtype).reshape(-1, robot.num_segments, 2))
 
     return poses
 

@@ -14,7 +14,8 @@ from matplotlib.path import Path
 from qjrl.report.arm_mesh import Mesh, arm_mesh, pedestal
 from qjrl.report.canvas import new_figure, style
 from qjrl.report.palette import AXES, LIGHT
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.verbs import Robot
 
 _LIGHT_DIRECTION = np.array([-0.35, 0.55, 0.76])
 """Towards the light, in coordinates of the picture: right, up, towards the eye."""
@@ -47,7 +48,7 @@ ABOVE = View(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), ("x 
 
 @style()
 def draw_arm(
-    robot: QuaternionArm, bends: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False
+    robot: Robot, bends: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False
 ) -> Figure:
     """The arm at one or more configurations, with its targets as small frames (x orange, y green, z blue).
 
@@ -56,19 +57,20 @@ def draw_arm(
         targets: (t, 9) poses [m, -], or none.
         is_oblique_only: leaves out the two projections with their scales.
     """
-    bends = np.asarray(bends).reshape(-1, robot.num_segments, 2)
+    arm = require_arm(robot, "the drawing")
+    bends = np.asarray(bends).reshape(-1, arm.num_segments, 2)
     targets = np.zeros((0, 9)) if targets is None else np.asarray(targets).reshape(-1, 9)
-    mesh = sum((arm_mesh(robot, one) for one in bends), Mesh())
+    mesh = sum((arm_mesh(arm, one) for one in bends), Mesh())
     low, high = _bounds(mesh, targets)
     floor = min(-0.06, low[2] - 0.02)
     if is_oblique_only:
         figure = new_figure(5.2, 4.6)
-        _draw(figure.add_subplot(), oblique(), mesh + pedestal(robot, floor), targets, floor)
+        _draw(figure.add_subplot(), oblique(), mesh + pedestal(arm, floor), targets, floor)
         return figure
     figure = new_figure(10.4, 5.6)
     heights = np.maximum(high - low, 0.15)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.4, 1.0], height_ratios=[heights[2], heights[1]])
-    _draw(figure.add_subplot(grid[:, 0]), oblique(), mesh + pedestal(robot, floor), targets, floor)
+    _draw(figure.add_subplot(grid[:, 0]), oblique(), mesh + pedestal(arm, floor), targets, floor)
     for row, (view, up) in enumerate(((FRONT, 2), (ABOVE, 1))):
         axes = figure.add_subplot(grid[row, 1])
         _draw(axes, view, mesh, targets)

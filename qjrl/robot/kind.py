@@ -130,6 +130,9 @@ class Kind:
     cable_names: Callable[..., tuple[str, ...]] | None = None
     """robot -> names of the cables (num_cables,)."""
 
+    strand_names: Callable[..., tuple[str, ...]] | None = None
+    """robot -> names of the strands (num_strands,)."""
+
     def configuration_of(self, robot: Any, coordinates: jax.Array) -> jax.Array:
         """The configuration of coordinates (n,)."""
         if self.from_coordinates is not None:

@@ -1,11 +1,14 @@
 """Two ways to move the arm by its strands, what is played on them, and what is recorded of it."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Literal
 
+import jax
 import numpy as np
 
 from qjrl.robot import build_mjcf, strand_commands
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.robot.quaternion_arm.limited_strands import held_strand_lengths, limit_strands
 from qjrl.robot.solver_options import SolverOptions
 from qjrl.robot.verbs import Robot
@@ -75,9 +78,10 @@ class Play:
     @property
     def strand_targets(self) -> np.ndarray:
         """(periods, n, strands) [m]: rest lengths of the servos, or the middles of the ranges."""
-        verb = held_strand_lengths if self.cables == "limits" else strand_commands
+        arm = require_arm(self.robot, "strands that are limits or servos")
+        verb: Callable[..., jax.Array] = held_strand_lengths if self.cables == "limits" else strand_commands
         periods, count, cables = self.cable_lengths.shape
-        return row_by_row(verb, self.robot, self.cable_lengths.reshape(-1, cables)).reshape(periods, count, -1)
+        return row_by_row(verb, arm, self.cable_lengths.reshape(-1, cables)).reshape(periods, count, -1)
 
 
 @dataclasses.dataclass(frozen=True)

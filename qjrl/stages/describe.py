@@ -11,6 +11,7 @@ from qjrl.report.arm_drawing import draw_arm
 from qjrl.report.description import description_text
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about
 from qjrl.stage_config import RobotStageConfig
@@ -25,7 +26,7 @@ class Config(RobotStageConfig):
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     """`description.json`, `description.txt` and `arm.png`; the text is shown too."""
     del inputs, out
-    robot = robot_from_mapping(config.robot)
+    robot = require_arm(robot_from_mapping(config.robot), "describe")
     kinematics = survey_kinematics(robot)
     with progress.track(config.describe.num_poses, "settling") as advance:
         physics = survey_physics(robot, config.simulation, config.describe, config.seed, advance)

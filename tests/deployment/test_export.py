@@ -149,7 +149,7 @@ def test_held_out_rows_are_those_that_the_fit_did_not_see(run_dir):
     rows = settled_rows(32)
     settled = rows["seed"][rows["converged"]]
     _, expected = split_rows(len(settled), 0.25, seed=0)
-    found = held_out_rows(run_dir / "dataset", run_dir / "forward_model", MODEL.config)
+    found = held_out_rows(ARM, run_dir / "dataset", run_dir / "forward_model", MODEL.config)
     np.testing.assert_array_equal(found["seed"], settled[expected])
 
 

@@ -8,13 +8,12 @@ from qjrl.robot import (
     bends_from_cables,
     cable_lengths,
     cable_strokes,
-    load_robot,
     strand_commands,
     strand_lengths,
 )
 from qjrl.robot.quaternion_arm.cables import cable_matrix, common_lengths
 
-ARM = load_robot("qj_2222")
+ARM = arm_named("qj_2222")
 
 
 def strands_by_geometry(arm, bends: np.ndarray) -> np.ndarray:
@@ -82,7 +81,7 @@ def test_strokes_are_the_paper_s_71_mm_on_the_first_segment_and_bound_all_bends(
 
 
 def test_the_common_part_is_nothing_for_the_spherical_and_small_for_the_rolling_arm():
-    spherical = load_robot("qj_2222_spherical")
+    spherical = arm_named("qj_2222_spherical")
     home = np.zeros((1, 4, 2))
     change = over_rows(common_lengths, spherical, random_bends(spherical, 200)) - over_rows(
         common_lengths, spherical, home

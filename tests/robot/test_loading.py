@@ -7,12 +7,13 @@ from arms import MADE_UP, SHIPPED, altered, arm_named
 
 from qjrl.config import ConfigError, conf_folder, read_yaml
 from qjrl.robot import build_mjcf, load_robot, robot_from_mapping, robot_hash
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.robot.quaternion_arm.mjcf_ties import fit_height_polynomial
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_file_loads_under_its_own_name(name):
-    arm = load_robot(name)
+    arm = arm_named(name)
     assert arm.name == name
     assert arm.joint_model == ("spherical" if "spherical" in name else "rolling")
     assert arm.num_cables == 2 * arm.num_segments == arm.num_strands // 2
@@ -148,15 +149,15 @@ def scaled(name: str, factor: float, **changes):
 def test_an_arm_in_another_size_is_as_allowed_and_its_heights_as_well_fitted(name):
     """The quartic of the slide by the length measured is the same in the arm's own unit."""
     factors = np.geomspace(0.1, 10.0, 7).tolist()
-    if load_robot(name).joint_model == "spherical":
+    if arm_named(name).joint_model == "spherical":
         for factor in factors:
             assert build_mjcf(scaled(name, factor))
         return
-    reference = fit_height_polynomial(load_robot(name))
+    reference = fit_height_polynomial(arm_named(name))
     for factor in factors:
         arm = scaled(name, factor)
         assert build_mjcf(arm)
-        in_own_unit = fit_height_polynomial(arm) * factor ** (np.arange(5) - 1.0)
+        in_own_unit = fit_height_polynomial(require_arm(arm, "this test")) * factor ** (np.arange(5) - 1.0)
         np.testing.assert_allclose(in_own_unit, reference, rtol=1e-6, atol=1e-12)
 
 

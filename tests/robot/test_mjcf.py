@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from arms import ARMS, arm_named, over_rows, random_bends
 
-from qjrl.robot import build_mjcf, forward_kinematics, joint_positions, load_robot, strand_commands, strand_lengths
+from qjrl.robot import build_mjcf, forward_kinematics, joint_positions, strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.naming import joint_labels, strand_name
 from qjrl.robot.solver_options import SolverOptions
 
@@ -46,7 +46,7 @@ def test_the_model_has_a_strand_an_actuator_and_a_control_in_the_order_of_the_cl
 
 
 def test_the_paper_arm_has_the_specified_size():
-    arm = load_robot("qj_2222")
+    arm = arm_named("qj_2222")
     model, data = compiled(arm)
     mujoco.mj_forward(model, data)
     assert (model.nv, data.ne, model.nu) == (40, 32, 16)
@@ -70,7 +70,7 @@ def test_masses_stiffness_damping_and_payload_are_the_described_ones(name):
 
 
 def test_solver_options_scale_what_they_name():
-    arm = load_robot("qj_22")
+    arm = arm_named("qj_22")
     plain, scaled = compiled(arm)[0], compiled(arm, SolverOptions(0.002, 0.016, 3.0, 10.0, 50))[0]
     assert (scaled.opt.timestep, scaled.opt.iterations) == (0.002, 50)
     hinges = plain.jnt_dofadr[plain.jnt_type == mujoco.mjtJoint.mjJNT_HINGE]

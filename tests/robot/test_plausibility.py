@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arms import SHIPPED, altered, arm_named, over_rows, random_bends
+from arms import SHIPPED, altered, arm_named, arm_of, over_rows, random_bends
 
 from qjrl.config import ConfigError
 from qjrl.robot import (
@@ -24,7 +24,8 @@ from qjrl.robot import (
     strand_lengths,
     strand_tension,
 )
-from qjrl.robot.kinds import kind_of, require_robot
+from qjrl.robot.kinds import require_robot
+from qjrl.robot.kinds import verb as verb_of
 from qjrl.robot.plausibility import check_cable_lengths, check_positions, one_sample
 from qjrl.robot.verbs import is_at_strength
 from qjrl.simulation import settle
@@ -42,7 +43,7 @@ def test_whatever_an_arm_does_is_plausible_and_in_millimetres_it_is_not(name):
     check_cable_lengths(arm, lengths, strokes=1.0 + 1e-9)
     check_positions(arm, poses[:, :3], "here")
     home = np.asarray(forward_kinematics(arm, jnp.zeros((arm.num_segments, 2))))
-    assert kind_of(arm).reach(arm) == pytest.approx(home[2], rel=1e-12)
+    assert verb_of(arm, "reach")(arm) == pytest.approx(home[2], rel=1e-12)
     for factor in (1000.0, 100.0):
         with pytest.raises(ConfigError, match="in millimetres"):
             check_positions(arm, factor * poses[:, :3], "here")
@@ -118,7 +119,7 @@ def test_a_strand_at_its_strength_counts_as_broken_in_double_and_single_precisio
         arm = robot_from_mapping(altered("qj_22", strands__strength=strength, strands__pretension=0.05))
         assert is_at_strength(arm, strength) and is_at_strength(arm, np.float64(np.float32(strength)))
         assert not is_at_strength(arm, 0.999 * strength)
-    weak = robot_from_mapping(altered("qj_22", strands__strength=60.0))
+    weak = arm_of(altered("qj_22", strands__strength=60.0))
     physics = {
         "settled_share": 1.0, "slack_share": 0.0, "tension": [1.0, 15.0, 60.0], "largest_motor_force": 5.0,
         "largest_bend_deg": 30.0,

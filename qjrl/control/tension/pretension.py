@@ -17,6 +17,7 @@ from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.geometry.pose import row_errors
 from qjrl.keys import seed_for
+from qjrl.robot.quaternion_arm.description import require_arm
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
@@ -92,7 +93,7 @@ class Choice:
 
 def at_pretension(robot: Robot, pretension: float) -> Robot:
     """The arm with another pretension [N], without compiling anything again; its hash and config stay the old."""
-    return dataclasses.replace(robot, pretension=jnp.asarray(float(pretension)))
+    return dataclasses.replace(require_arm(robot, "pretension"), pretension=jnp.asarray(float(pretension)))
 
 
 def poses_to_keep(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:

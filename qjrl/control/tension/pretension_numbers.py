@@ -14,7 +14,7 @@ from qjrl.control.tension.pretension import (
     off_nominal,
 )
 from qjrl.control.tension_check import TensionCheck
-from qjrl.robot.quaternion_arm.naming import strand_name
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 
 
@@ -80,7 +80,7 @@ def metrics_of(robot: Robot, config: PretensionConfig, found: Survey, choice: Ch
         "least_by_count": least_by_count(config, found),
         "poses_that_lose_tension": found.num_falling,
         "strands": {
-            strand_name(robot, strand): {
+            verb(robot, "strand_names")(robot)[strand]: {
                 "own_least": _of(np.min, found.checks[own].rest.strand_tension[found.checks[own].rest.converged, strand]),
                 "least": _of(np.min, choice.check.rest.strand_tension[choice.check.rest.converged, strand]),
                 "largest": _of(np.max, choice.check.rest.strand_tension[choice.check.rest.converged, strand]),

@@ -11,6 +11,7 @@ import numpy as np
 
 from qjrl.report.page import Fragment
 from qjrl.robot import configuration_from_joint_positions
+from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.kinematics import frames
 from qjrl.robot.verbs import Robot
 
@@ -53,12 +54,12 @@ def track_viewer(robot: Robot, time: np.ndarray, joint_positions: np.ndarray, pl
 
 def _skeletons(robot: Robot, joint_positions: np.ndarray) -> np.ndarray:
     """Base and both ends of every link (n, points, 3) [m], by the closed form at the bends that the physics had."""
-    poses = np.asarray(_all_frames(robot, jnp.asarray(joint_positions)))[:, :, :3]
+    poses = np.asarray(_all_frames(require_arm(robot, "the film of a path"), jnp.asarray(joint_positions)))[:, :, :3]
     return np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)
 
 
 @jax.jit
-def _all_frames(robot: Robot, joint_positions: jax.Array) -> jax.Array:
+def _all_frames(robot: QuaternionArm, joint_positions: jax.Array) -> jax.Array:
     bends = jax.vmap(partial(configuration_from_joint_positions, robot))(joint_positions)
     return jax.vmap(partial(frames, robot))(bends)
 

@@ -13,6 +13,7 @@ from qjrl.robot.quaternion_arm import cables, coordinates, differential, kinemat
 from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
 from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, height_of_cosine, vector_from_bend
 from qjrl.robot.quaternion_arm.minimal_engine import MinimalEngine
+from qjrl.robot.quaternion_arm.naming import strand_name
 from qjrl.robot.unit_hints import bend_hint
 
 
@@ -93,6 +94,11 @@ def cable_names(arm: QuaternionArm) -> tuple[str, ...]:
     return tuple(f"cable_{number}" for pair in arm.config.cables.names for number in pair)
 
 
+def strand_names(arm: QuaternionArm) -> tuple[str, ...]:
+    """Of every strand, see `naming.strand_name`."""
+    return tuple(strand_name(arm, strand) for strand in range(arm.num_strands))
+
+
 QUATERNION_ARM = Kind(
     description=QuaternionArmConfig,
     make=arm_from_config,
@@ -127,4 +133,5 @@ QUATERNION_ARM = Kind(
     configuration_from_joint_positions=coordinates.bends_from_joint_positions,
     reach=straight_length,
     cable_names=cable_names,
+    strand_names=strand_names,
 )

@@ -8,6 +8,7 @@ import numpy as np
 
 from qjrl.config import as_mapping
 from qjrl.robot import cable_lengths, robot_from_mapping, strand_commands, strand_lengths
+from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
@@ -67,7 +68,9 @@ def draw_limited_bends(robot: Robot, limit: float, count: int, seed: int) -> np.
 
 def effects_on_arm(robot: Robot, bends: np.ndarray) -> ArmEffects:
     """Closed form, for bends (n, segments, 2): the same bends have the same cable lengths whatever H does."""
-    shift, common, tension = _effects(robot, arm_with_joint(robot, home_height(robot), 0.0, 0.0), jnp.asarray(bends))
+    flat = arm_with_joint(robot, home_height(robot), 0.0, 0.0)
+    arms = (require_arm(one, "elliptical_deviation") for one in (robot, flat))
+    shift, common, tension = _effects(*arms, jnp.asarray(bends))
     return ArmEffects(np.asarray(shift), np.asarray(common), np.asarray(tension))
 
 
@@ -95,7 +98,7 @@ def strand_tension(robot: Robot, bends: jax.Array, lengths: jax.Array) -> jax.Ar
 
 
 @jax.jit
-def _effects(robot: Robot, spherical: Robot, bends: jax.Array):
+def _effects(robot: QuaternionArm, spherical: QuaternionArm, bends: jax.Array):
     def one(row):
         shift = jnp.linalg.norm(tip_position(robot, row) - tip_position(spherical, row))
         common = (strand_lengths(robot, row) - strand_lengths(spherical, row))[0::2]

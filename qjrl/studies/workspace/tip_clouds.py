@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.robot import bends_from_angles
+from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.sampling import planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_pose, tip_position
 from qjrl.robot.verbs import Robot
@@ -26,7 +27,7 @@ def spatial_bends(robot: Robot, words: jax.Array) -> jax.Array:
     return bends_from_angles(2.0 * jnp.pi * low, robot.bend_limit * high)
 
 
-def one_plane_bends(robot: Robot, words: jax.Array) -> jax.Array:
+def one_plane_bends(robot: QuaternionArm, words: jax.Array) -> jax.Array:
     """Bends (segments, 2) all in one plane of uniform azimuth, from one random word a segment: they find the boundary."""
     high, low = _halves(words)
     return planar_bends(robot, high, 2.0 * jnp.pi * low[0])
@@ -48,7 +49,7 @@ class Grid(Protocol):
         ...
 
 
-LAWS: dict[str, Callable[[Robot, jax.Array], jax.Array]] = {"spatial": spatial_bends, "planar": one_plane_bends}
+LAWS: dict[str, Callable[..., jax.Array]] = {"spatial": spatial_bends, "planar": one_plane_bends}
 
 
 def draw_tips(robot: Robot, law: str, key: jax.Array, count: int) -> np.ndarray:
@@ -75,10 +76,10 @@ def in_float32(robot: Robot) -> Robot:
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 4))
 def _places(robot: Robot, law: str, grid: Grid, key: jax.Array, count: int) -> jax.Array:
-    return jax.vmap(grid, in_axes=-1)(_tips(robot, law, key, count, grid.needs_pose))
+    return jax.vmap(grid, in_axes=-1)(_tips(require_arm(robot, "workspace"), law, key, count, grid.needs_pose))
 
 
-def _tips(robot: Robot, law: str, key: jax.Array, count: int, needs_pose: bool = False) -> jax.Array:
+def _tips(robot: QuaternionArm, law: str, key: jax.Array, count: int, needs_pose: bool = False) -> jax.Array:
     """(3, count) or (9, count), the samples last, so that every number of a pose is one contiguous array."""
     words = jax.random.bits(key, (robot.num_segments, count), jnp.uint32)
     bends = jax.vmap(lambda row: LAWS[law](robot, row), in_axes=-1, out_axes=-1)(words)
