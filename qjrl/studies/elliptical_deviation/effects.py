@@ -8,7 +8,7 @@ import numpy as np
 
 from qjrl.config import as_mapping
 from qjrl.robot import cable_lengths, robot_from_mapping, strand_commands, strand_lengths
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
