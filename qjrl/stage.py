@@ -211,14 +211,6 @@ def _unless_damaged(
     return is_wanted
 
 
-def check_robot(config: Any) -> None:
-    """Raises the ConfigError of a robot that no stage can work on."""
-    if hasattr(config, "robot"):
-        from qjrl.robot import robot_from_mapping
-
-        robot_from_mapping(config.robot)
-
-
 def robot_hash_of(config: Any) -> str | None:
     """Of the robot a stage works on; a stage that names its robots itself says what they are by `robot_hash`."""
     if hasattr(config, "robot_hash"):

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from command import Command, Said, assert_one_line, run_command
 
-from qjrl import artifacts, config, pipeline
+from qjrl import artifacts, pipeline
 from qjrl.learning.divergence import TrainingDiverged
 
 ROOT = Path(__file__).parent.parent
@@ -44,10 +44,7 @@ def two_stages(qjrl, monkeypatch) -> Command:
                 raise TrainingDiverged(f"{error}; states: diverged.npz") from error
         artifacts.write_json(out / "metrics.json", {"far": {"learned": {"position_median_mm": config.seed / 2}}})
 
-    entries = [
-        entry for entry in config.read_yaml(config.conf_folder() / "config.yaml")["defaults"] if entry != "_self_"
-    ]
-    groups = [name for entry in entries for name in entry if "override" not in name]
+    groups = ["robot", *pipeline.GROUPS]
     fake = ModuleType("fake")
     fake.__dict__.update(
         run=count, Config=dataclasses.make_dataclass("Config", [*((name, dict) for name in groups), ("seed", int)])
@@ -58,6 +55,7 @@ def two_stages(qjrl, monkeypatch) -> Command:
         "compare": pipeline.Stage("fake", "second", reads=("sample",), writes="compare"),
     }
     monkeypatch.setattr(pipeline, "STAGES", stages)
+    monkeypatch.setattr(pipeline, "GROUPS", dict.fromkeys(pipeline.GROUPS, "sample"))
     return lambda *arguments: qjrl("stages=[sample,compare]", *arguments)
 
 

@@ -14,7 +14,7 @@ from qjrl.deployment.safety import SafeController
 
 @configuration
 class DeployConfig:
-    """Group `deploy`."""
+    """Group `deploy`; all values ours."""
 
     num_targets: Annotated[int, Range(1, 1000)] = 3
     """Held-out targets to reach for, each in one episode of real time; the first again with faults."""

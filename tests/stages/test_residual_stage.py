@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from customary import customary_ppo
 from idle import idle_policy
 
 from qjrl import artifacts
@@ -19,7 +20,6 @@ from qjrl.control.studies import residual as study
 from qjrl.control.studies.parameter_effects import NOMINAL
 from qjrl.control.studies.residual import ResidualStudyConfig, ablate, effects, errors_of, make_subject
 from qjrl.control.targets import TARGET_SETS
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import save_policy
 from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.simulation.engine import EngineConfig
@@ -44,7 +44,7 @@ CONFIG = PolicyConfig(
         scored_time=0.06,
         randomisation=dataclasses.replace(NOMINAL, **{name: getattr(RandomisationConfig(), name) for name in VARIED}),
     ),
-    ppo=PPOConfig(
+    ppo=customary_ppo(
         num_steps=32,
         unroll_length=8,
         num_epochs=1,
