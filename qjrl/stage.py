@@ -5,8 +5,8 @@ A stage is a module with a frozen dataclass `Config`, whose fields are top-level
 
 Its output depends on that configuration, on its inputs and, where `Config` has them, on `files` (path -> hash, of what it
 reads beside them), `packages` (what -> which, of extras that change what it writes);
-not on fields that cannot change a result (`config.NotIdentity`). Output of another identity makes room and is kept; it is
-taken back when its identity is asked for again.
+not on fields that cannot change a result: those marked `config.NotIdentity`, and the part of a shared stage (`whole`).
+Output of another identity makes room and is kept; it is taken back when its identity is asked for again.
 
 A `Config` with `check()` refuses there what its fields allow one by one, and files that it cannot read, before any work.
 

@@ -8,7 +8,12 @@ from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.studies.parameter_effects import NOMINAL
 
 _Change = Callable[[PolicyConfig], PolicyConfig]
-USUAL_RATES: dict[str, Any] = {"learning_rate": 1e-3, "min_learning_rate": 1e-5, "max_learning_rate": 3e-3, "target_kl": 0.02}
+USUAL_RATES: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "min_learning_rate": 1e-5,
+    "max_learning_rate": 3e-3,
+    "target_kl": 0.02,
+}
 """Of PPO that begins with an untrained actor: rsl_rl's, but for a lower ceiling (its own is 1e-2)."""
 
 
