@@ -26,7 +26,7 @@ def register(is_whole: bool) -> None:
     from omegaconf import OmegaConf
 
     groups = of_groups() if is_whole else {group: {} for group in pipeline.GROUPS}
-    node = OmegaConf.create(as_mapping(pipeline.RunConfig()) | groups)
+    node: Any = OmegaConf.create(as_mapping(pipeline.RunConfig()) | groups)
     for group in () if is_whole else groups:
         OmegaConf.set_struct(node[group], False)
     ConfigStore.instance().store(name=NAME, node=node)
@@ -35,7 +35,8 @@ def register(is_whole: bool) -> None:
 def register_for(overrides: Iterable[str], options: Iterable[str]) -> None:
     """`register` for a command: whole where it does more than run, or names its directory by a key."""
     does_more = any(option.startswith("-") and option not in _OF_RUNS for option in options)
-    if names_directory := any(one.startswith("hydra.") and "${" in one for one in overrides):
+    of_hydra = [one for one in overrides if one.startswith("hydra.")]
+    if names_directory := any(f"{group}." in one for one in of_hydra for group in pipeline.GROUPS):
         process.prepare()  # stages are imported now
     register(does_more or names_directory)
 
