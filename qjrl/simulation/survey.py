@@ -30,7 +30,7 @@ class DescribeConfig:
     """Group `describe`."""
 
     num_poses: Annotated[int, Range(8, 1_000_000)] = 256
-    """Low-discrepancy poses settled in the physics."""
+    """Low-discrepancy poses settled in the physics (ours)."""
 
 
 def survey_kinematics(robot: Robot) -> dict[str, Any]:
