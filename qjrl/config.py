@@ -1,6 +1,7 @@
 """Strict configuration: a plain mapping becomes a frozen dataclass, or one line says why it does not.
 
-The dataclass beside the code holds meaning, unit, range and default of every field; the YAML files hold values.
+The dataclass beside the code holds meaning, unit, range, default of every field and where the default comes from; the YAML
+files of `conf/` hold what a choice or an experiment has otherwise, see `shipped`.
 Field types: int, float, str, bool, Path, dict (left as it is), Literal, tuple, nested dataclasses, ``X | None``,
 and ``Annotated[T, Range(...)]`` for bounds. A class made by `configuration` holds its values against them wherever it is
 made: from YAML, from the command, in Python.
@@ -24,7 +25,7 @@ class ConfigError(ValueError):
     """A value of the configuration is not allowed. The message is the one line a user reads."""
 
 
-@dataclass_transform(frozen_default=True)
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def configuration[T](cls: type[T]) -> type[T]:
     """Makes a frozen dataclass that refuses what its field types do not allow, whoever makes it.
 
@@ -175,6 +176,18 @@ def conf_folder() -> Path:
     """The folder of the shipped YAML files: inside an installed package, beside it in a checkout."""
     package = Path(__file__).parent
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
+
+
+def shipped[T](cls: type[T], choice: str) -> T:
+    """The settings that a choice of the command names, in Python: ``shipped(PolicyConfig, "policy/paper")``.
+
+    Args:
+        choice: group and choice; a file of the folder `conf/`, which holds what differs from the defaults.
+    Raises:
+        ConfigError: there is no such file.
+    """
+    content = read_yaml(conf_folder() / f"{choice}.yaml")
+    return build(cls, {key: value for key, value in content.items() if key != "defaults"}, choice)
 
 
 def unknown_key(where: str, value: Any, known: Collection[Any]) -> ConfigError:

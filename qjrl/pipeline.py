@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from qjrl import machine, shipped
+from qjrl import machine
 from qjrl.config import ConfigError, Range, build, configuration, known_names, unknown_key
 from qjrl.field_words import show
 from qjrl.stage import Stage, alone_in, run_part, run_stage, run_together
@@ -118,6 +118,14 @@ STAGES: dict[str, Stage] = {
 }
 
 
+GROUPS = {"simulation": "sample", "engine": "policy", **{name: name for name in STAGES if name != "compare"}}
+"""Key of the configuration that holds settings -> a stage that has it, whose Config says of what kind they are."""
+
+
+ROBOT = "robot"
+"""The key that holds the description of a robot; its file names the kind."""
+
+
 PART_KEYS = tuple(stage.part_key for stage in STAGES.values() if stage.shared == "in parts")
 """Keys that say which part of a stage a process makes: a sweep over them fills one run directory."""
 
@@ -150,9 +158,11 @@ class ProcessesConfig:
 class RunConfig:
     """The top-level keys that belong to the run and to no stage."""
 
-    name: str
+    name: str = "default"
     """Name of the directory of the run."""
-    stages: tuple[str, ...]
+    stages: tuple[str, ...] = dataclasses.field(
+        default_factory=lambda: tuple(name for name, stage in STAGES.items() if stage.default)
+    )
     """Names of the stages to run, in any order."""
     seed: Annotated[int, Range(0, 2**32 - 1)] = 0
     """Of everything random, in every stage."""
@@ -237,50 +247,41 @@ def run(names: Iterable[str], configs: Mapping[str, StageConfig], run_dir: Path)
             run_stage(STAGES, name, configs[name].whole(), run_dir)
 
 
-def build_needed(tree: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -> dict[str, Any]:
     """Checks the whole configuration before any work, and builds the Configs of some stages.
 
-    Another stage's module is imported only where a key of its own holds what no shipped file says: what is misspelt or
-    out of range anywhere is refused, and a stage that cannot be imported here stops only those who ask for it.
+    What is misspelt or out of range anywhere is refused, first what the tree says of a group: only that stage's module is
+    imported for it. A stage that cannot be imported here stops only those who ask for it or for values of its own. What a
+    stage itself refuses (its `check`, the files that it reads) stops no other.
 
     Args:
-        tree: the resolved configuration as plain dicts and lists.
-        names: of the stages to run; see `build_configs`.
+        tree: the resolved configuration as plain dicts and lists; what is missing has its default.
+        names: of the stages that are to run, all by default.
     Raises:
-        ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
+        ConfigError: at the first value that is not allowed and at a top-level key that nothing knows.
     """
-    kinds = {name: STAGES[name].load().Config for name in names}
-    checked = {field.name for kind in (RunConfig, *kinds.values()) for field in dataclasses.fields(kind)}
-    if all(key in checked or shipped.says(key, value) for key, value in tree.items()):
-        return _configs(tree, kinds, names)
-    return build_configs(tree, names)
-
-
-def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -> dict[str, Any]:
-    """Checks the whole configuration: builds every stage's Config from the keys it names.
-
-    Args:
-        tree: the resolved configuration as plain dicts and lists.
-        names: of the stages that are to run, all by default. What only a stage itself refuses (its `check`, the files
-            that it reads) stops no other.
-    Raises:
-        ConfigError: at the first value that is not allowed and at a top-level key that no stage knows.
-    """
-    kinds = {name: stage.load().Config for name, stage in STAGES.items()}
-    known = {field.name for kind in (RunConfig, *kinds.values()) for field in dataclasses.fields(kind)}
+    known = {*(field.name for field in dataclasses.fields(RunConfig)), *GROUPS, ROBOT}
     for key in tree:
         if key not in known:
             raise unknown_key(key, tree[key], sorted(known))
-    return _configs(tree, kinds, STAGES if names is None else names)
-
-
-def _configs(tree: Mapping[str, Any], kinds: Mapping[str, type], names: Iterable[str]) -> dict[str, Any]:
+    for group in GROUPS:
+        if tree.get(group, {}) != {}:
+            build(kind_of(group), tree[group], group)
+    kinds = {name: STAGES[name].load().Config for name in in_order(STAGES if names is None else names)}
     configs = {name: build(kind, _part(tree, kind)) for name, kind in kinds.items()}
-    for name in in_order({*names} & {*configs}):
-        configs[name].check()
+    if ROBOT in tree:
+        from qjrl.robot import robot_from_mapping
+
+        robot_from_mapping(tree[ROBOT])
     for config in configs.values():
         config.check_robot()
+        config.check()
     return configs
+
+
+def kind_of(group: str) -> Any:
+    """The class of the settings of a group, whose defaults are what is run when nothing is said; imports a stage."""
+    return next(field.type for field in dataclasses.fields(STAGES[GROUPS[group]].load().Config) if field.name == group)
 
 
 def _part(tree: Mapping[str, Any], kind: type) -> dict[str, Any]:

@@ -12,9 +12,20 @@ from qjrl import artifacts
 from qjrl.cores import usable_cores
 
 PACKAGES = (
-    *("qjrl", "jax", "jaxlib", "mujoco", "mujoco-mjx", "brax", "flax", "optax"),
-    *("orbax-checkpoint", "jaxlie", "optimistix", "numpy", "hydra-core"),
+    "qjrl",
+    "jax",
+    "jaxlib",
+    "mujoco",
+    "mujoco-mjx",
+    "brax",
+    "flax",
+    "optax",
+    "orbax-checkpoint",
+    "numpy",
+    "scipy",
+    "hydra-core",
 )
+"""Those that a number may depend on."""
 
 
 def provenance(config: Any, seed: int | None, robot_hash: str | None) -> dict[str, Any]:

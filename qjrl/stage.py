@@ -5,8 +5,8 @@ each stage it reads to that stage's directory, `out` is its own. It returns an `
 to `out` itself is what it goes on from when interrupted.
 
 Its output depends on that configuration, on its inputs, its `files` and its `packages`; not on fields that cannot change a
-result (`config.NotIdentity`). Output of another identity makes room and is kept; it is taken back when its identity is asked
-for again.
+result: those marked `config.NotIdentity`, and the part of a shared stage (`whole`). Output of another identity makes room and
+is kept; it is taken back when its identity is asked for again.
 
 Processes can share the work of a stage in one of two ways (`Stage.shared`).
 In parts: each process makes a part of the rows, whenever it likes, and needs no other. A part has a directory, a lock and a

@@ -38,7 +38,6 @@ FLOORS |= {
     "kept": 1,
     "table_file": 1.5,
     "csv_rows": 1,
-    "shipped": 1.5,
     "measured": 1.5,
     "stage_config": 3,
     "stage": 5.5,

@@ -2,7 +2,7 @@ import ast
 import dataclasses
 import math
 import re
-import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from qjrl import pipeline
 from qjrl.config import (
     ConfigError,
     NotIdentity,
@@ -193,25 +194,31 @@ def test_a_field_that_cannot_change_a_result_is_no_identity_and_all_others_are()
     assert as_mapping(marked).keys() == {"inner", "threads", "batch", "engine"}
 
 
+NO_IDENTITY = [
+    "deploy.port",
+    "policy.tensorboard",
+    "sample.shard_size",
+    "simulation.batch_size",  # in C MuJoCo
+    "simulation.num_threads",
+]
+"""All fields of all stages that cannot change a result, beside `sample.shard` and `num_shards`, of which the whole knows nothing."""
+
+
 def test_only_these_fields_of_the_stages_are_no_identity() -> None:
-    from qjrl import pipeline
+    def leaves(value: Any, where: str = "") -> Iterator[str]:
+        if not isinstance(value, dict):
+            yield where
+            return
+        for key, item in value.items():
+            yield from leaves(item, f"{where}.{key}" if where else key)
 
-    def leaves(kind: type, where: str, found: dict[str, Any]) -> None:
-        for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-            if any(isinstance(mark, NotIdentity) for mark in typing.get_args(hint)):
-                found[f"{where}{name}"] = hint
-            elif dataclasses.is_dataclass(hint):
-                leaves(hint, f"{where}{name}.", found)  # pyright: ignore[reportArgumentType]
-
-    found: dict[str, Any] = {}
-    for stage in pipeline.STAGES.values():
-        leaves(stage.load().Config, "", found)
-    assert sorted(found) == [
-        "policy.tensorboard",
-        "sample.shard_size",
-        "simulation.batch_size",
-        "simulation.num_threads",
-    ]
+    found: set[str] = set()
+    for group in pipeline.GROUPS:
+        settings = pipeline.kind_of(group)()
+        found |= {*leaves({group: as_mapping(settings)})} - {*leaves({group: identity_of(settings)})}
+    assert sorted(found) == NO_IDENTITY
+    in_mjx = identity_of(pipeline.kind_of("simulation")(backend="mjx"))
+    assert "batch_size" in in_mjx and "num_threads" not in in_mjx
 
 
 @pytest.mark.parametrize("content", ["defaults: [x]\n", "a: ${seed}\n", "a: {b: ['${x}']}\n", "a: ???\n", "${a}: 1\n"])

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from command import Command, Said, assert_one_line, run_command
 
-from qjrl import artifacts, config, pipeline
+from qjrl import artifacts, pipeline
 from qjrl.cli.overview import overview
 from qjrl.learning.divergence import TrainingDiverged
 from qjrl.pipeline import STAGES
@@ -49,10 +49,7 @@ def two_stages(qjrl, monkeypatch) -> Command:
                 raise TrainingDiverged(f"{error}; states: diverged.npz") from error
         return Output({"far": {"learned": {"position_median_mm": config.seed / 2}}})
 
-    entries = [
-        entry for entry in config.read_yaml(config.conf_folder() / "config.yaml")["defaults"] if entry != "_self_"
-    ]
-    groups = {name for entry in entries for name in entry if "override" not in name}
+    groups = {"robot", *pipeline.GROUPS}
     fake = ModuleType("fake")
     fields = [(name, dict) for name in sorted(groups - {"robot"})]
     kind = dataclasses.make_dataclass("Config", fields, bases=(RobotStageConfig,), frozen=True)
@@ -63,6 +60,7 @@ def two_stages(qjrl, monkeypatch) -> Command:
         "compare": pipeline.Stage("fake", "second", reads=("sample",), writes="compare"),
     }
     monkeypatch.setattr(pipeline, "STAGES", stages)
+    monkeypatch.setattr(pipeline, "GROUPS", dict.fromkeys(pipeline.GROUPS, "sample"))
     return lambda *arguments: qjrl("stages=[sample,compare]", *arguments)
 
 

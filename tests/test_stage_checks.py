@@ -37,11 +37,11 @@ def test_a_combination_and_a_file_stop_only_the_stages_that_use_them(override, r
     if override.startswith("simulation"):
         others = [name for name in others if name not in (*EVALUATED, "track")]
     tree = tree_of(override)
-    pipeline.build_needed(tree, others)
+    pipeline.build_configs(tree, others)
     for name in refused:
         for stages in ([name], ["sample", name]):
             with pytest.raises(ConfigError, match=key):
-                pipeline.build_needed(tree, stages)
+                pipeline.build_configs(tree, stages)
 
 
 def test_a_value_that_no_stage_allows_stops_all() -> None:
@@ -49,14 +49,14 @@ def test_a_value_that_no_stage_allows_stops_all() -> None:
         tree = tree_of(override)
         for name in ("describe", "workspace", "sample"):
             with pytest.raises(ConfigError):
-                pipeline.build_needed(tree, [name])
+                pipeline.build_configs(tree, [name])
 
 
 def test_arms_that_the_devices_cannot_share_are_refused_before_any_work(monkeypatch) -> None:
     monkeypatch.setattr("jax.device_count", lambda: 3)
     with pytest.raises(ConfigError, match=r"^policy\.num_envs: got 512, allowed: a multiple of the 3 devices"):
-        pipeline.build_needed(tree_of(), ["sample", "policy"])
-    pipeline.build_needed(tree_of(), ["sample", "compare"])
+        pipeline.build_configs(tree_of(), ["sample", "policy"])
+    pipeline.build_configs(tree_of(), ["sample", "compare"])
 
 
 def test_every_stage_that_refuses_a_combination_does_so_in_check_and_stops_no_other() -> None:

@@ -2,7 +2,7 @@
 
     python experiments/accelerator/measure.py table.json --cases training fitting solving --seconds 300
 
-No network, no data set, no run of `qjrl` before it: rows, targets and networks are made here, with the values of `conf/`.
+No network, no data set, no run of `qjrl` before it: rows, targets and networks are made here, with the shipped values.
 The cases go in the order of `CASES`; what fails is written down as such, and the rest goes on. The default sizes are for
 a large GPU; `--robot qj_22 --rows 64 --arms 16 --steps 2` goes through it all on a small computer.
 """
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import build, conf_folder, read_yaml
+from qjrl.config import shipped
 from qjrl.control.bases import environment_of
 from qjrl.control.environment import residual_env
 from qjrl.control.inversion import IKConfig, solve_model
@@ -49,6 +49,7 @@ from qjrl.simulation.engines import make_engine
 from qjrl.simulation.sampling import sample_lengths, sample_rows
 from qjrl.simulation.settle_problem import Backend, SettleConfig
 from qjrl.simulation.settling import settle
+from qjrl.solvers import LeastSquaresConfig
 
 # Rows that both engines settle, to be compared one by one.
 COMPARED = 64
@@ -76,14 +77,9 @@ class Bench:
 Case = Callable[[Bench], dict[str, Any]]
 
 
-def shipped[T](kind: type[T], choice: str) -> T:
-    """The values of `conf/`, as the command takes them."""
-    return build(kind, read_yaml(conf_folder() / f"{choice}.yaml"), choice)
-
-
 def training(kind: EngineKind, bench: Bench) -> dict[str, Any]:
     """Environment steps a second of the default policy's training: a round of DAgger, iterations of PPO, learning included."""
-    config = shipped(PolicyConfig, "policy/default")
+    config = PolicyConfig()
     length = config.ppo.unroll_length
     dagger = dataclasses.replace(config.ppo.dagger, rounds=2, steps=bench.steps * length)
     num_steps = (bench.steps + 1) * length * bench.arms
@@ -113,7 +109,7 @@ def training(kind: EngineKind, bench: Bench) -> dict[str, Any]:
 
 def fitting(bench: Bench) -> dict[str, Any]:
     """Rows fitted a second by the default forward model's epochs alone: no evaluation, no checkpoints."""
-    config = shipped(ForwardModelConfig, "forward_model/corrected")
+    config = ForwardModelConfig()
     network = make_network(bench.robot, config)
     lengths = sample_lengths(bench.robot, 0, 0, 4 * bench.rows, 0.0)
     inputs = jax.vmap(lambda row: model_inputs(bench.robot, config.form, row))(jnp.asarray(lengths)).astype(jnp.float32)
@@ -139,8 +135,7 @@ def fitting(bench: Bench) -> dict[str, Any]:
 
 def solving(bench: Bench) -> dict[str, Any]:
     """Targets inverted a second by the default method on one learned model, which is compiled in the first call."""
-    config = shipped(IKConfig, "ik/least_squares")
-    config = dataclasses.replace(config, least_squares=dataclasses.replace(config.least_squares, batch_size=bench.rows))
+    config = IKConfig(least_squares=LeastSquaresConfig(batch_size=bench.rows))
     model = made_up_model(bench.robot)
     targets = target_poses(bench.robot, draw_configurations(bench.robot, "uniform", bench.rows, 0))
     solve = partial(solve_model, bench.robot, targets, model, config, 0)
@@ -204,7 +199,7 @@ CASES: dict[str, Case] = {
 
 def made_up_model(robot: Robot) -> PoseFunction:
     """The default forward model with random parameters, near the closed form; every call makes a new function to compile."""
-    config = shipped(ForwardModelConfig, "forward_model/corrected")
+    config = ForwardModelConfig()
     config = dataclasses.replace(config, network=dataclasses.replace(config.network, zero_output=False))
     parameters = make_network(robot, config).init(jax.random.key(0), jnp.zeros((1, robot.num_cables)))["params"]
     zeros = jnp.zeros(robot.num_cables, jnp.float32)

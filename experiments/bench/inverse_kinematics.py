@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl import artifacts
-from qjrl.config import build, conf_folder, read_yaml
+from qjrl.config import conf_folder
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
 from qjrl.deployment.compact_ik import CompactIKConfig, compact_ik
 from qjrl.deployment.latency import measure_latency
+from qjrl.learning.fitting import FitConfig
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, in_precision, load_robot
 from qjrl.robot.forward_model import ForwardModelConfig, load_forward_model, pose_function
@@ -30,7 +31,7 @@ from qjrl.solvers import AdamConfig, LeastSquaresConfig, draw_candidates, solve_
 
 NUM_TARGETS, NUM_ADAM, NUM_SINGLE, NUM_REPEATS = 4096, 128, 300, 3
 # Paper 000, section 4: 200 iterations at a rate of 0.05, best of random restarts.
-ADAM = AdamConfig(decay=False, num_restarts=8, num_candidates=8, num_retries=0)
+ADAM = AdamConfig(num_candidates=8, num_retries=0)
 POSITION_TOLERANCE, ORIENTATION_TOLERANCE = 1e-5, np.radians(0.01)
 MINK_ITERATIONS = 200
 HOME = np.array([0.0, 0.5, 0.0, -1.0, 0.0, 0.5, 0.0])
@@ -40,11 +41,10 @@ def the_model(robot):
     """A fitted forward model: of a run, or of the golden rows."""
     if len(sys.argv) > 1:
         return load_forward_model(Path(sys.argv[1]) / "model", robot)
-    tree = read_yaml(conf_folder() / "forward_model" / "corrected.yaml")
-    tree["fit"] |= {"batch_size": 64, "epochs": 20}
+    config = ForwardModelConfig(fit=FitConfig(epochs=20))
     rows = artifacts.load(conf_folder().parent / "data" / "golden")
     with tempfile.TemporaryDirectory() as folder:
-        return fit_forward_model(robot, build(ForwardModelConfig, tree), rows, 0, Path(folder))[0]
+        return fit_forward_model(robot, config, rows, 0, Path(folder))[0]
 
 
 def reachable_poses(robot, pose, count: int) -> np.ndarray:

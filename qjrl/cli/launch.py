@@ -10,7 +10,7 @@ from typing import Any
 
 from qjrl import pipeline, progress, sweep
 from qjrl.cli import arguments as words
-from qjrl.cli import hydra_errors, names, outcome, process, sweeps
+from qjrl.cli import defaults, hydra_errors, names, outcome, process, sweeps
 from qjrl.cli.robot_files import as_typed, with_robot_files
 from qjrl.cli.sweeps import Job
 from qjrl.cli.values import checked
@@ -27,6 +27,7 @@ def launch(arguments: list[str]) -> int:
     overrides, options = words.sorted_out(arguments, pipeline.STAGES)
     is_sweep = bool({"-m", "--multirun"} & set(options))
     names.register()
+    defaults.register_for(overrides, options)
     overrides, files = with_robot_files(overrides)
     plain = checked(overrides, is_sweep, words.TEXTS)
     typed = {words.for_hydra(one): override for one, override in zip(plain, overrides, strict=True)}
@@ -108,6 +109,8 @@ def _resolved(cfg: Any, overrides: list[str]) -> tuple[dict[str, Any], Exception
     from omegaconf import OmegaConf
 
     try:
+        if "${" in str(OmegaConf.to_container(cfg, resolve=False)):  # what it refers to may be a default
+            cfg = OmegaConf.merge(defaults.of_groups(), cfg)
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
     except Exception as error:
         return {}, hydra_errors.in_our_words(error, overrides) or error
@@ -135,7 +138,7 @@ def run_stages(tree: dict[str, Any], run_dir: Path, robot_file: str | None = Non
         selected = pipeline.selected(tree)
         pipeline.meet(tree)
         progress.console.print(f"{', '.join(selected)} -> {run_dir}", markup=False)
-        pipeline.run(selected, pipeline.build_needed(tree, selected), run_dir)
+        pipeline.run(selected, pipeline.build_configs(tree, selected), run_dir)
     except Exception as error:
         if robot_file is not None and isinstance(error, ConfigError):
             error = in_file(robot_file, error)

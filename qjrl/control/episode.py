@@ -40,9 +40,9 @@ class EnvironmentConfig:
     control_period: Annotated[float, Range(above=0.0, high=1.0)] = 0.02
     """[s]; 50 Hz (paper 000, section 4)."""
     latest_arrival: Annotated[float, Range(above=0.0)] = 3.0
-    """Targets whose base ramp ends later are left out and counted [s]."""
+    """Targets whose base ramp ends later are left out and counted [s]; ours."""
     scored_time: Annotated[float, Range(above=0.0)] = 0.5
-    """Errors are evaluated over this long at the end of an episode [s]."""
+    """Errors are evaluated over this long at the end of an episode [s]; ours."""
     remembers: bool = True
     """Whether the actor sees means of the encoders' readings; without, the newest reading stands for all of them."""
     estimate: EstimateConfig = EstimateConfig()

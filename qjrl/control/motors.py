@@ -19,9 +19,9 @@ class ResidualConfig:
     bound: Annotated[float, Range(above=0.0)] = 0.003
     """Offset [m] at an action of 1, of the tip or of a cable; an orientation counts with `LEVER`. The paper's is 0.020."""
     rate: Annotated[float, Range(above=0.0)] = 0.01
-    """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step."""
+    """Fastest change of the offset [m/s], ours. The paper's moves by its whole bound at every step: 1.0."""
     lag: Annotated[float, Range(low=0.0)] = 0.05
-    """Time constant [s] with which the offset follows the action, ours."""
+    """Time constant [s] with which the offset follows the action, ours; the paper's is 0."""
 
 
 @configuration
@@ -31,11 +31,11 @@ class DitherConfig:
     Dry friction holds a strand short of where its spring would let it rest, always against the way it came. Swings that
     die away slowly leave it in the middle, as they leave a magnet without magnetisation. Whatever moves the cables later,
     feedback or a policy, brings friction back, so that the swings grow again by as much as the cables are moved; the
-    longer ago the ramp ended, the less, so that noise in the feedback does not keep them alive.
+    longer ago the ramp ended, the less, so that noise in the feedback does not keep them alive. All values ours.
     """
 
     amplitude: Annotated[float, Range(low=0.0)] = 0.0005
-    """Largest swing of a cable [m], ours: that after the ramp; 0 switches it off. Motors too slow for it swing less at first."""
+    """Largest swing of a cable [m], that after the ramp; 0 switches it off. Motors too slow for it swing less at first."""
     growth: Annotated[float, Range(low=0.0)] = 8.0
     """What the swings grow by for each metre that the cables are moved otherwise."""
     decay: Annotated[float, Range(above=0.0)] = 0.3

@@ -40,12 +40,13 @@ PHYSICS_RATES = "physics_rates.jsonl"
 
 @configuration
 class PolicyConfig:
-    """Group `policy`."""
+    """Group `policy`: the residual policy on top of a base."""
 
     base: Base = "estimate"
-    """What the residual is added to."""
+    """What the residual is added to. Ours: the learned IK, friction shaken off, fed back from the estimate of the arm; the
+    paper's is the learned IK alone."""
     num_envs: Annotated[int, Range(2, 1_000_000)] = 512
-    """Arms stepped together, over all processes; the paper has 2048 on a GPU."""
+    """Arms stepped together, over all processes. Ours, for two cores; the paper has 2048 on an A100."""
     num_evaluated: Annotated[int, Range(1, 100_000)] = 128
     """Targets of each set, set apart from the bank, on which the deterministic policy is evaluated at every checkpoint."""
     tensorboard: Annotated[bool, NotIdentity()] = False

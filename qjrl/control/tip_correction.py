@@ -20,7 +20,7 @@ LEVER = 0.1
 
 @configuration
 class IntegralConfig:
-    """Integral feedback from the encoders, tuned for the default noise; see experiments/residual."""
+    """Integral feedback from the encoders, the classical baseline; ours, tuned for the default noise, see experiments/residual."""
 
     gain: Annotated[float, Range(low=0.0)] = 1.0
     """Share of the missing pose that is made up a second [1/s]; 0 switches it off."""

@@ -5,7 +5,7 @@ from typing import Annotated, Protocol
 
 import numpy as np
 
-from qjrl.config import Range, configuration
+from qjrl.config import NotIdentity, Range, configuration
 from qjrl.deployment.controller_export import ControllerExportConfig
 from qjrl.deployment.line import NO_FAULT, FaultConfig, Line, draw_faults
 from qjrl.deployment.real_time import Plant, Played, Schedule, on_one_core, play
@@ -14,7 +14,7 @@ from qjrl.deployment.safety import SafeController
 
 @configuration
 class DeployConfig:
-    """Group `deploy`."""
+    """Group `deploy`; all values ours."""
 
     num_targets: Annotated[int, Range(1, 1000)] = 3
     """Held-out targets to reach for, each in one episode of real time; the first again with faults."""
@@ -30,7 +30,7 @@ class DeployConfig:
     """Record of an earlier deployment (its `log.npz`) to put through the controller again; nothing is played then."""
     view: bool = False
     """Show the arm in a browser, in MuJoCo's web viewer on 127.0.0.1, while it moves; costs time on the same core."""
-    port: Annotated[int, Range(1024, 65535)] = 8080
+    port: Annotated[int, Range(1024, 65535), NotIdentity()] = 8080
     """Of the viewer."""
 
 

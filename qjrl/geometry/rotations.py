@@ -1,6 +1,5 @@
 """Rotation matrices: elementary rotations, the geodesic angle, and the frame nearest to two columns."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -67,11 +66,3 @@ def _vee(skew: Float[Array, "3 3"]) -> Float[Array, "3"]:
 
 # Keeps degenerate columns finite; far below any length a unit column can lose to rounding.
 _TINY = 1e-12
-
-
-def is_rotation(matrix: jax.Array, tolerance: float = 1e-4) -> bool:
-    """Whether a 3x3 matrix is orthonormal and right-handed within `tolerance`."""
-    if not bool(jnp.all(jnp.isfinite(matrix))):
-        return False
-    orthogonal = jnp.max(jnp.abs(matrix.T @ matrix - jnp.eye(3))) < tolerance
-    return bool(orthogonal & (jnp.linalg.det(matrix) > 0))

@@ -94,11 +94,6 @@ def as_png(figure: Figure, dpi: int = DPI) -> bytes:
     return buffer.getvalue()
 
 
-def as_data_uri(figure: Figure, dpi: int = DPI) -> str:
-    """A figure as `data:image/png;base64,…`, for `src=` of an HTML image."""
-    return png_data_uri(as_png(figure, dpi))
-
-
 def png_data_uri(png: bytes) -> str:
     """The bytes of a PNG file as `data:image/png;base64,…`."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from qjrl.report.canvas import logarithmic, new_plot, style
 from qjrl.report.outcomes import Outcome, controller_label
-from qjrl.report.palette import LIGHT, controller_look, series_colour
+from qjrl.report.palette import LIGHT, controller_look
 
 Quantity = Literal["position", "orientation"]
 
@@ -92,20 +92,6 @@ def error_against(
         axes.plot(centres, middle, label=controller_label(name), marker="o", markersize=4, **look)
     logarithmic(axes, "y")
     axes.legend()
-    return figure
-
-
-@style()
-def cumulative_by_label(errors: Mapping[str, np.ndarray], quantity: Quantity = "position") -> Figure:
-    """Cumulative curves of anything that has a name, such as the predicted and the real error of one solver.
-
-    Args:
-        errors: label -> (n,) [m] or [rad].
-    """
-    figure, axes = new_plot(f"{quantity} error [{_UNIT[quantity]}]", "targets with a smaller error [%]")
-    for index, (label, values) in enumerate(errors.items()):
-        _draw_cumulative(axes, _shown(values, quantity), label=label, color=series_colour(index))
-    _finish_cumulative(axes)
     return figure
 
 

@@ -30,7 +30,7 @@ PoseFunction = Callable[[jax.Array], jax.Array]
 
 @configuration
 class ForwardModelConfig:
-    """Group `forward_model`."""
+    """Group `forward_model`. Defaults: the paper's network as a correction of the nominal bends (ours)."""
 
     form: Literal["paper", "corrected_from_lengths", "corrected"] = "corrected"
     """"paper": scaled lengths -> pose; "corrected": nominal configuration -> its correction, then the kinematics;
@@ -40,7 +40,7 @@ class ForwardModelConfig:
     fit: FitConfig = FitConfig()
     """How it is fitted."""
     held_out: Annotated[float, Range(above=0.0, high=0.5)] = 0.1
-    """Share of the rows that the fit never sees; errors are reported on them."""
+    """Share of the rows that the fit never sees; errors are reported on them (ours)."""
     ensemble: Annotated[int, Range(1, 64)] = 1
     """Networks fitted together from other random starts; their mean answers, their spread says how sure it is."""
 

@@ -18,12 +18,12 @@ C MuJoCo is none: it would ask the host at every step, at a quarter of the rate.
 
 @configuration
 class EngineConfig:
-    """Group `engine`: what policies train in."""
+    """Group `engine`: what policies train in; ours."""
 
     kind: EngineKind = "minimal"
     """See `EngineKind`. On a CPU the arm's own equations are several times quicker."""
     timestep: Annotated[float, Range(low=1e-4, high=0.02)] = 0.005
-    """Time step [s]; the control period is a multiple of it."""
+    """Time step [s]; the control period is a multiple of it. The rest pose does not depend on it."""
 
 
 @runtime_checkable

@@ -32,7 +32,7 @@ class DescribeConfig:
     """Group `describe`."""
 
     num_poses: Annotated[int, Range(8, 1_000_000)] = 256
-    """Low-discrepancy poses settled in the physics."""
+    """Low-discrepancy poses settled in the physics (ours)."""
 
 
 def survey_kinematics(robot: QuaternionArm) -> dict[str, Any]:

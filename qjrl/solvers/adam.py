@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -43,8 +42,8 @@ class AdamConfig:
     """Times the squared scaled lengths: picks one of the arm's redundant answers."""
     position_tolerance: Annotated[float, Range(above=0.0)] = 1e-3
     """Predicted position error that counts as converged [m]."""
-    orientation_tolerance: Annotated[float, Range(above=0.0)] = math.radians(0.5)
-    """Predicted orientation error that counts as converged [rad]."""
+    orientation_tolerance: Annotated[float, Range(above=0.0)] = 0.00872664625997165
+    """Predicted orientation error that counts as converged [rad]: 0.5 degrees."""
     batch_size: Annotated[int, Range(1, 65536)] = 64
     """Targets solved at once."""
 

@@ -39,7 +39,7 @@ class RoundConfig:
 
 @configuration
 class LeastSquaresConfig:
-    """Solver settings; ours."""
+    """Solver settings; all values ours."""
 
     descent: DescentConfig = DescentConfig()
     """Weights, damping, tolerances."""
@@ -61,7 +61,7 @@ class LeastSquaresConfig:
     """Descents of such a target."""
     num_candidates: Annotated[int, Range(1, 100_000)] = 4096
     """Random poses; the starts of a target are the nearest of them."""
-    batch_size: Annotated[int, Range(1, 65536)] = 256
+    batch_size: Annotated[int, Range(1, 65536)] = 512
     """Descents compiled together."""
 
     def __post_init__(self):

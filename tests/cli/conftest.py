@@ -18,14 +18,12 @@ from qjrl.stage_config import RobotStageConfig
 
 CONF = """\
 defaults:
+  - defaults
   - robot: qj_22
   - simulation: mujoco
   - _self_
   - override hydra/job_logging: none
   - override hydra/hydra_logging: none
-name: default
-seed: 0
-stages: [first, second]
 hydra:
   run: {dir: 'outputs/${run_name:${name}}'}
   sweep: {dir: 'outputs/${run_name:${name}}', subdir: '${job_name:${hydra.job.override_dirname}}'}
@@ -58,7 +56,7 @@ def qjrl(tmp_path, monkeypatch, capsys) -> Command:
     for group in ("robot", "simulation"):
         shutil.copytree(conf_folder() / group, conf / group)
     (conf / "config.yaml").write_text(CONF)
-    for module in ("cli.launch", "cli.sweeps", "cli.robot_files", "shipped", "robot.loading"):
+    for module in ("cli.launch", "cli.sweeps", "cli.robot_files", "robot.loading"):
         monkeypatch.setattr(f"qjrl.{module}.conf_folder", lambda: conf)
     for name, run in (("first", settle), ("second", fit)):
         module = ModuleType(f"fake_{name}")
@@ -69,6 +67,7 @@ def qjrl(tmp_path, monkeypatch, capsys) -> Command:
         "second": pipeline.Stage("fake_second", "fits", reads=("first",), writes="model"),
     }
     monkeypatch.setattr(pipeline, "STAGES", stages)
+    monkeypatch.setattr(pipeline, "GROUPS", {"simulation": "first"})
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
     for name in ("HYDRA_FULL_ERROR", "JAX_ENABLE_X64", "JAX_COMPILATION_CACHE_DIR", "MUJOCO_GL"):

@@ -14,12 +14,13 @@ from command import Command, assert_one_line
 from hypothesis import given
 from hypothesis import strategies as st
 
-from qjrl import artifacts, machine, pipeline, progress, shipped, stage, sweep
+from qjrl import artifacts, machine, pipeline, plain_yaml, progress, stage, sweep
 from qjrl.cli import outcome
 from qjrl.cli.arguments import for_hydra, quoted, sorted_out
 from qjrl.cli.names import job_name
-from qjrl.config import ConfigError, conf_folder
+from qjrl.config import ConfigError, as_mapping, conf_folder
 from qjrl.robot import load_robot
+from qjrl.simulation.settle_problem import SettleConfig
 
 ROOT = Path(__file__).parent.parent.parent
 ARM = (conf_folder() / "robot" / "qj_22.yaml").read_text()
@@ -236,18 +237,43 @@ def test_a_closed_pipe_swallows_what_nobody_reads() -> None:
 def test_a_stage_that_is_not_asked_for_is_not_imported(qjrl: Command, monkeypatch) -> None:
     broken = pipeline.STAGES | {"third": pipeline.Stage("no_such_module", "breaks", writes="third")}
     monkeypatch.setattr(pipeline, "STAGES", broken)
+    monkeypatch.setattr(pipeline, "GROUPS", pipeline.GROUPS | {"third": "third"})
     assert qjrl("stages=[first]").code == 0
     assert qjrl("stages=[third]").code == 1
+    assert qjrl("stages=[first]", "third.speed=1").code == 1  # who can say whether that is allowed
 
 
-def test_a_key_of_a_stage_that_is_not_asked_for_is_known_by_the_shipped_files() -> None:
-    from qjrl.config import read_yaml
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        (
+            "simulation.timestp=0.004",
+            "simulation.timestp: got 0.004, but there is no such key; did you mean 'timestep'?",
+        ),
+        ("+simulation.timestp=0.004", "did you mean 'timestep'?"),
+        ("simulation={timestp: 0.004}", "simulation"),
+        ("smulation.timestep=0.004", "did you mean 'simulation'?"),
+        ("seed=${simulation.timestp}", "seed: Interpolation key 'simulation.timestp' not found"),
+        ("simulation.timestep=-1", "simulation.timestep: got -1"),
+    ],
+)
+def test_a_key_that_has_a_default_in_python_alone_is_held_against_its_dataclass(qjrl: Command, override, words) -> None:
+    assert_one_line(qjrl("stages=[first]", override), words)
+    assert qjrl("stages=[first]", "simulation.timestep=0.003", "name=fine").code == 0
 
-    policy = read_yaml(conf_folder() / "policy" / "default.yaml")
-    assert shipped.says("policy", policy)
-    assert not shipped.says("policy", policy | {"misspelt": 1})
-    assert not shipped.says("policy", policy | {"num_envs": 513})
-    assert not shipped.says("nothing", {})
+
+def test_a_value_may_refer_to_one_that_only_python_states(qjrl: Command) -> None:
+    assert qjrl("stages=[first]", "seed=${simulation.batch_size}", "name=by_value").code == 0
+    assert artifacts.load(Path("outputs/by_value/dataset"), "robot")["pose"][0, 0] == SettleConfig().batch_size
+    assert qjrl("stages=[first]", "hydra.run.dir=outputs/of_${simulation.batch_size}").code == 0
+    assert Path(f"outputs/of_{SettleConfig().batch_size}/dataset").is_dir()
+
+
+def test_what_is_printed_holds_every_key(qjrl: Command) -> None:
+    said = qjrl("--cfg", "job", "simulation.timestep=0.003")
+    printed = plain_yaml.load(said.out)
+    assert said.code == 0 and printed["simulation"] == as_mapping(SettleConfig(timestep=0.003))
+    assert printed["stages"] == ["first", "second"] and not Path("outputs").exists()
 
 
 def test_a_run_that_is_terminated_leaves_no_folder_behind(tmp_path) -> None:

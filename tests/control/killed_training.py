@@ -6,16 +6,16 @@ import sys
 from pathlib import Path
 
 import jax
+from customary import customary_dagger
 from test_policy_training import POLICY, columns
 from worlds import ARM, ENGINE
 
 from qjrl.control.policy_training import train_policy
-from qjrl.learning.ppo.dagger import DaggerConfig
 
 PPO = dataclasses.replace(
     POLICY.ppo,
     num_steps=120 * POLICY.num_envs * POLICY.ppo.unroll_length,
-    dagger=DaggerConfig(rounds=4, steps=40),
+    dagger=customary_dagger(rounds=4, steps=40),
 )
 
 if __name__ == "__main__":

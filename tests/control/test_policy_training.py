@@ -10,6 +10,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from customary import customary_ppo
 from worlds import ARM, CONFIG, ENGINE, assert_same_bits, bank, rows_of
 
 from qjrl.artifacts import load
@@ -17,13 +18,12 @@ from qjrl.config import ConfigError
 from qjrl.control import policy_training
 from qjrl.control.environment import residual_env
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig, train_policy
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import deterministic_action
 from qjrl.learning.ppo.train import train as train_ppo
 from qjrl.simulation.engines import make_engine
 
 ITERATIONS, NUM_ENVS = 4, 4
-PPO = PPOConfig(
+PPO = customary_ppo(
     num_steps=ITERATIONS * 8 * NUM_ENVS,
     unroll_length=8,
     num_epochs=2,

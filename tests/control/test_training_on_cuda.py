@@ -6,13 +6,13 @@ import re
 import jax
 import numpy as np
 import pytest
+from customary import customary_ppo
 from worlds import NUM_ENVS, shared_env
 
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.iteration import begin, iterate, make_plan
 from qjrl.learning.ppo.mesh import device_mesh
 
-CONFIG = PPOConfig(unroll_length=2, num_epochs=1, num_minibatches=2, actor_layers=(8,), critic_layers=(8,))
+CONFIG = customary_ppo(unroll_length=2, num_epochs=1, num_minibatches=2, actor_layers=(8,), critic_layers=(8,))
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,9 @@ CONFIG = ExportConfig(
 
 def untrained_model(form: Any = "corrected") -> ForwardModel:
     """Random weights; what it answers is of the size of real corrections, or of real poses."""
-    config = ForwardModelConfig(form, NetworkConfig(width=16, num_blocks=1, num_frequencies=2), held_out=0.25)
+    config = ForwardModelConfig(
+        form, NetworkConfig(width=16, num_blocks=1, num_frequencies=2, zero_output=False), held_out=0.25
+    )
     network = make_network(ARM, config)
     parameters = jax.jit(network.init)(jax.random.key(0), jnp.zeros((1, ARM.num_cables), jnp.float32))["params"]
     size = network.output_size

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from qjrl.geometry.rotations import (
     geodesic_angle,
-    is_rotation,
     orthonormalise,
     rotation_vector,
     rotation_x,
@@ -33,12 +32,9 @@ def test_elementary_rotations_turn_right_handed_about_their_axis(rotation, axis)
 @settings(deadline=None, max_examples=50)
 @given(ANGLES, ANGLES, ANGLES)
 def test_products_of_rotations_are_rotations(a, b, c):
-    assert is_rotation(rotation_xyz(a, b, c), tolerance=1e-12)
-
-
-@pytest.mark.parametrize("wrong", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.full((3, 3), np.nan)])
-def test_reflections_scalings_and_nan_are_no_rotations(wrong):
-    assert not is_rotation(jnp.asarray(wrong))
+    matrix = rotation_xyz(a, b, c)
+    np.testing.assert_allclose(matrix.T @ matrix, np.eye(3), atol=1e-12)
+    assert np.linalg.det(matrix) > 0.0
 
 
 @settings(deadline=None, max_examples=50)

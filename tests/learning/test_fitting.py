@@ -10,7 +10,9 @@ from qjrl.learning.fitting import FitConfig, epoch_order, fit, member_seed, pred
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig
 
 CONFIG = FitConfig(epochs=6, batch_size=32, evaluate_every=2)
-NETWORK = FourierResidualNetwork(NetworkConfig(width=16, num_blocks=1, num_frequencies=1), output_size=2)
+NETWORK = FourierResidualNetwork(
+    NetworkConfig(width=16, num_blocks=1, num_frequencies=1, zero_output=False), output_size=2
+)
 
 
 def function(inputs):

@@ -3,9 +3,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from qjrl.config import shipped
 from qjrl.learning.networks import FourierResidualNetwork, NetworkConfig, fourier_features
+from qjrl.robot.forward_model import ForwardModelConfig
 
-SMALL = NetworkConfig(width=16, num_blocks=2, num_frequencies=3)
+SMALL = NetworkConfig(width=16, num_blocks=2, num_frequencies=3, zero_output=False)
 
 
 def test_fourier_features_are_sines_and_cosines_of_doubled_frequencies():
@@ -19,8 +21,8 @@ def test_without_frequencies_the_input_is_left_alone():
     assert fourier_features(jnp.float32([0.25, 1]), num_frequencies=0).tolist() == [0.25, 1]
 
 
-def test_the_default_network_has_the_size_of_the_paper():
-    network = FourierResidualNetwork(NetworkConfig(), output_size=9)
+def test_the_paper_s_network_has_the_size_that_it_prints():
+    network = FourierResidualNetwork(shipped(ForwardModelConfig, "forward_model/paper").network, output_size=9)
     shapes = jax.eval_shape(network.init, jax.random.key(0), jnp.zeros((1, 8)))["params"]
     kernels = {name: layer["kernel"].shape for name, layer in shapes.items()}
     assert kernels["input"] == (8 * (1 + 2 * 6), 512)

@@ -32,7 +32,6 @@ FIGURES = {
     "against": lambda: error_figures.error_against(
         np.arange(60.0), {o.controller: o.position_error for o in outcomes()}, "distance from home [mm]"
     ),
-    "by_label": lambda: error_figures.cumulative_by_label({"predicted": np.zeros(3), "real": np.ones(1)}),
     "training": lambda: training_figures.learning_curves(
         RECORDS, {"loss": "loss", "absent": "absent"}, "epoch", "epoch", "loss [–]", True, {"base": 0.5}
     ),
@@ -48,7 +47,7 @@ def test_figures_come_without_global_state(name):
     png = canvas.as_png(figure, 40)
     assert isinstance(figure, Figure)
     assert png.startswith(b"\x89PNG")
-    assert canvas.as_data_uri(figure, 40).startswith("data:image/png;base64,")
+    assert canvas.png_data_uri(png).startswith("data:image/png;base64,")
     assert dict(matplotlib.rcParams) == before
     assert "matplotlib.pyplot" not in set(sys.modules) - loaded
 

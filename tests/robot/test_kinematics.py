@@ -6,7 +6,7 @@ from arms import ARMS, arm_named, joint_matrix, over_rows, random_bends
 
 from qjrl.geometry.pose import orientation_error
 from qjrl.robot import cable_lengths, forward_kinematics, load_robot, strand_lengths
-from qjrl.robot.quaternion_arm.kinematics import frames, segment_frames
+from qjrl.robot.quaternion_arm.kinematics import frames
 
 TOTAL_LENGTH_MM = {
     "qj_2222": 480,
@@ -46,8 +46,6 @@ def test_frames_run_from_the_first_plate_to_the_tip(name):
     poses = over_rows(frames, arm, bends)[0]
     assert poses.shape == (2 * arm.num_joints, 9)
     np.testing.assert_allclose(over_rows(forward_kinematics, arm, bends)[0], poses[-1], atol=1e-15)
-    ends = np.cumsum(arm.joints_per_segment) * 2 - 1
-    np.testing.assert_allclose(over_rows(segment_frames, arm, bends)[0], poses[ends], atol=1e-15)
 
 
 def test_a_turn_of_all_bend_directions_turns_the_tip_about_the_base_axis():

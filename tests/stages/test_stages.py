@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+from customary import customary_ppo
 
 from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
@@ -17,7 +18,6 @@ from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.pipeline import STAGES
 from qjrl.report.output import write_output
 from qjrl.robot import load_robot, robot_hash
@@ -55,7 +55,7 @@ CONFIGS = {
         num_envs=8,
         num_evaluated=1,
         environment=EnvironmentConfig(episode_steps=150, latest_arrival=2.8, scored_time=0.1),
-        ppo=PPOConfig(num_steps=64, unroll_length=4, num_epochs=1, num_minibatches=2, checkpoint_every=1),
+        ppo=customary_ppo(num_steps=64, unroll_length=4, num_epochs=1, num_minibatches=2, checkpoint_every=1),
     ),
 }
 

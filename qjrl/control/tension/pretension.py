@@ -27,7 +27,7 @@ Newtons = Annotated[float, Range(low=0.0, high=1e5)]
 
 @configuration
 class PretensionConfig:
-    """Group `pretension`."""
+    """Group `pretension`; all values ours."""
 
     least_tension: Annotated[float, Range(low=0.01, high=1e4)] = 2.0
     """What every strand is to carry at rest [N]; ours."""

@@ -24,7 +24,7 @@ from qjrl.simulation.stepping import Stepper
 
 @configuration
 class TrackConfig:
-    """Group `track`."""
+    """Group `track`; all values ours: the paper holds single poses."""
 
     path: str = "circle"
     """"circle", "line", or a .csv or .npz file of poses, see `qjrl.control.path.paths.make_path`."""

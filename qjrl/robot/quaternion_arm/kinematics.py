@@ -16,12 +16,6 @@ def forward_kinematics(arm: QuaternionArm, bends: Float[Array, "segments 2"]) ->
     return pose_from_frame(*tip)
 
 
-def segment_frames(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "segments 9"]:
-    """Pose of the end of every segment in the base frame."""
-    ends = jnp.cumsum(jnp.array(arm.joints_per_segment)) * 2 - 1
-    return frames(arm, bends)[ends]
-
-
 def frames(arm: QuaternionArm, bends: Float[Array, "segments 2"]) -> Float[Array, "frames 9"]:
     """Poses along the arm: upper plate and link end of every joint, from the base to the tip."""
     _, poses = _walk(arm, bends)

@@ -9,16 +9,17 @@ from qjrl.report.tables import Column, Table
 from qjrl.simulation.settling import SLACK_TENSION
 from qjrl.solvers import Status, count_statuses
 
-SAFE_TENSION = 2.0
-"""What a strand should keep [N], as the pretension study asks."""
-
 Arrays = Mapping[str, np.ndarray]
 
 
-def tension_metrics(arrays: Arrays) -> dict[str, dict[str, Any]]:
-    """ "any" and "wanted" -> shares of answers whose least loaded strand is slack or below 2 N, predicted and in the physics.
+def tension_metrics(arrays: Arrays, least_tension: float) -> dict[str, dict[str, Any]]:
+    """ "any" and "wanted" -> shares of answers whose least loaded strand is slack or below what is asked for, predicted and in
+    the physics.
 
     `num_false_...`: answers of which the prediction says so and the physics does not, or the other way round.
+
+    Args:
+        least_tension: what the solver of "wanted" asks for, of every strand [N].
     """
     found = {}
     for name in ("any", "wanted"):
@@ -26,12 +27,13 @@ def tension_metrics(arrays: Arrays) -> dict[str, dict[str, Any]]:
         predicted, real = arrays[f"{name}/least_tension"][rows], arrays[f"{name}/settled_least_tension"][rows]
         found[name] = {
             "statuses": count_statuses(arrays[f"{name}/status"]),
+            "least_tension_N": least_tension,
             "num_unsettled": int(np.sum(~rows)),
             "tension_error_max_N": float(np.max(np.abs(predicted - real))),
             "settled_position_median_mm": 1e3 * float(np.median(arrays[f"{name}/settled_position_error"][rows])),
             "settled_position_p99_mm": 1e3 * float(np.quantile(arrays[f"{name}/settled_position_error"][rows], 0.99)),
         }
-        for label, bound in (("slack", SLACK_TENSION), ("below_2_N", SAFE_TENSION)):
+        for label, bound in (("slack", SLACK_TENSION), ("below_least_tension", least_tension)):
             said, is_so = predicted < bound, real < bound
             found[name][label] = {
                 "predicted_share": float(np.mean(said)),

@@ -21,7 +21,7 @@ from qjrl.studies.accuracy.feedback import Corrected, MeasurementNoise, measure_
 
 @configuration
 class AccuracyConfig:
-    """Group `accuracy`."""
+    """Group `accuracy`; all values ours but FABRIK's tolerances."""
 
     num_targets: Annotated[int, Range(1, 1_000_000)] = 1000
     """Settled poses of commands from another seed."""

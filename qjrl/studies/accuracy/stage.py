@@ -86,10 +86,10 @@ def _feasibility(
         out / "unreachable.npz",
         lambda: evaluate_unreachable(robot, model, simulation, config.ik, settings, beyond, seed),
     )
-    weight = config.ik.least_squares.descent.rotation_weight
+    solver = config.ik.least_squares
     return {
-        "tension": feasibility.tension_metrics(tension),
-        "unreachable": feasibility.unreachable_metrics(unreachable, KINDS, weight),
+        "tension": feasibility.tension_metrics(tension, solver.least_tension),
+        "unreachable": feasibility.unreachable_metrics(unreachable, KINDS, solver.descent.rotation_weight),
     }
 
 

@@ -45,8 +45,12 @@ class JointVariant:
 class DeviationConfig:
     """Group `elliptical_deviation`."""
 
-    variants: tuple[JointVariant, ...]
-    """Beside the robot's own joint."""
+    variants: tuple[JointVariant, ...] = (
+        JointVariant("no offset", 0.020, 0.0),
+        JointVariant("small, no offset", 0.010, 0.0),
+        JointVariant("inward", 0.010, 0.00486),
+    )
+    """Beside the robot's own joint: outward, outward and half as wide, inward by 1 % of H0 at 40 degrees (ours)."""
     near_angle_deg: Annotated[float, Range(above=0.0, below=90.0)] = 40.0
     """Up to here the error is minimal (paper 000, section 5.5) [deg]."""
     far_angle_deg: Annotated[float, Range(above=0.0, below=90.0)] = 70.0
@@ -56,19 +60,18 @@ class DeviationConfig:
     growth: Annotated[float, Range(low=1.0, high=1000.0)] = 4.0
     """Far over near deviation that counts as growing rapidly, at least (ours; a quadratic alone gives 3)."""
     largest_pin_distance: Annotated[float, Range(above=0.0, high=0.5)] = 0.025
-    """k up to which the map goes [m]."""
+    """k up to which the map goes [m] (ours)."""
     largest_plate_to_pin: Annotated[float, Range(above=0.0, high=0.5)] = 0.012
-    """d up to which the map goes [m]."""
+    """d up to which the map goes [m] (ours)."""
     num_poses: Annotated[int, Range(100, 10_000_000)] = 20_000
-    """Of the whole arm, by the closed form."""
+    """Of the whole arm, by the closed form (ours)."""
     num_settled: Annotated[int, Range(1, 10_000)] = 16
-    """Of the whole arm, in the physics."""
+    """Of the whole arm, in the physics, at the far angle's limit (ours)."""
 
     def __post_init__(self):
-        if self.near_angle_deg >= self.far_angle_deg:
-            raise ValueError(
-                f"near_angle_deg: got {self.near_angle_deg}, allowed: less than far_angle_deg = {self.far_angle_deg}"
-            )
+        near, far = self.near_angle_deg, self.far_angle_deg
+        if near >= far:
+            raise ValueError(f"near_angle_deg: got {near}, allowed: less than far_angle_deg = {far}")
         labels = [AS_DESCRIBED, *(variant.label for variant in self.variants)]
         if len(set(labels)) != len(labels):
             raise ValueError(

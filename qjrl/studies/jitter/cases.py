@@ -31,7 +31,7 @@ class LimitRows:
 
 @configuration
 class JitterConfig:
-    """Group `jitter`."""
+    """Group `jitter`; all values ours: the paper (section 5.4.1, Fig. 10) is silent."""
 
     num_poses: Annotated[int, Range(low=1, high=1000)] = 2
     """Commands, of bends uniform in angle and direction."""
@@ -40,7 +40,7 @@ class JitterConfig:
     ramp_time: Annotated[float, Range(low=0.1, high=100.0)] = 1.0
     """From home to the command [s]."""
     hold_time: Annotated[float, Range(low=0.1, high=100.0)] = 5.0
-    """... which is then held [s]."""
+    """... which is then held [s]; C MuJoCo rests after 4 s."""
     window: Annotated[float, Range(low=0.02, high=100.0)] = 1.0
     """The last so many seconds count as rest [s]."""
     half_width: Annotated[float, Range(above=0.0, high=1.0)] = 0.0001

@@ -23,7 +23,7 @@ class OpenLoopConfig:
     """Group `open_loop`."""
 
     num_targets: Annotated[int, Range(1, 1_000_000)] = 1000
-    """Of each target set."""
+    """Of each target set; ours."""
     fabrik: FabrikConfig = FabrikConfig()
     """Iterations, relaxation and tolerances of FABRIK, which starts at home."""
 

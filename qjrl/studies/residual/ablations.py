@@ -5,10 +5,16 @@ from collections.abc import Callable
 from typing import Any
 
 from qjrl.control.policy_training import PolicyConfig
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.studies.residual.parameter_effects import NOMINAL
 
 _Change = Callable[[PolicyConfig], PolicyConfig]
+USUAL_RATES: dict[str, Any] = {
+    "learning_rate": 1e-3,
+    "min_learning_rate": 1e-5,
+    "max_learning_rate": 3e-3,
+    "target_kl": 0.02,
+}
+"""Of PPO that begins with an untrained actor: rsl_rl's, but for a lower ceiling (its own is 1e-2)."""
 
 
 def ablations(config: PolicyConfig, share: float) -> dict[str, PolicyConfig]:
@@ -28,9 +34,7 @@ def _with_environment(config: PolicyConfig, **changes: Any) -> PolicyConfig:
 
 def _without_dagger(config: PolicyConfig) -> PolicyConfig:
     """With the customary rates of learning: those of a policy that is refined alone are too small for one that begins."""
-    usual, dagger = PPOConfig(), dataclasses.replace(config.ppo.dagger, rounds=0)
-    rates = ("learning_rate", "min_learning_rate", "max_learning_rate", "target_kl")
-    return _with_ppo(config, dagger=dagger, **{name: getattr(usual, name) for name in rates})
+    return _with_ppo(config, dagger=dataclasses.replace(config.ppo.dagger, rounds=0), **USUAL_RATES)
 
 
 def _from_noise(config: PolicyConfig) -> PolicyConfig:

@@ -39,7 +39,7 @@ BASELINE: Base = "integral"
 
 @configuration
 class ResidualStudyConfig:
-    """Group `residual`."""
+    """Group `residual`; all values ours."""
 
     num_targets: Annotated[int, Range(1, 100_000)] = 200
     """Held-out targets of each set."""

@@ -23,7 +23,8 @@ UNDISTURBED = "as trained"
 
 @configuration
 class RobustnessConfig:
-    """Group `robustness`: how large the disturbances are, and who meets them. All but one thing is drawn as in training."""
+    """Group `robustness`: how large the disturbances are, and who meets them. All but one thing is drawn as in training.
+    All values ours."""
 
     num_targets: Annotated[int, Range(1, 100_000)] = 150
     """Held-out targets of each set."""

@@ -36,7 +36,12 @@ class ArmConfig:
 class WorkspaceConfig:
     """Group `workspace`."""
 
-    arms: tuple[ArmConfig, ...]
+    arms: tuple[ArmConfig, ...] = (
+        ArmConfig("paper ±40°", "qj_2222", 40.0, is_reference=False),
+        ArmConfig("paper ±70°", "qj_2222", 70.0, is_reference=False),
+        ArmConfig("Huang, equal joints", "qj_huang_4332", 40.0, is_reference=True),
+        ArmConfig("Huang, equal length", "qj_huang_4332_480", 40.0, is_reference=True),
+    )
     """Those that are measured; each that is no reference is compared with each that is."""
     num_samples: Annotated[int, Range(1000, 10_000_000_000)] = 16_000_000
     """Poses by each law for the rings, and for the voxels (ours)."""
@@ -49,9 +54,9 @@ class WorkspaceConfig:
     bins: OrientationBins = OrientationBins()
     """Orientation bins of a cell (ours)."""
     num_resamples: Annotated[int, Range(50, 100_000)] = 1000
-    """Of the bootstrap."""
+    """Of the bootstrap (ours)."""
     confidence: Annotated[float, Range(above=0.5, below=1.0)] = 0.95
-    """Of the bootstrap's interval."""
+    """Of the bootstrap's interval (ours)."""
     comparable_share: Annotated[float, Range(above=0.0, high=1.0)] = 0.9
     """An arm's workspace is comparable with a reference when it reaches this share of the reference's volume (ours)."""
     num_drawn: Annotated[int, Range(100, 200_000)] = 10_000

@@ -5,12 +5,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from customary import customary_dagger, customary_ppo
 from drifting_environment import NUM_ENVS, DriftingEnvironment
 
 from qjrl.artifacts import load
 from qjrl.learning.divergence import TrainingDiverged
-from qjrl.learning.ppo.config import PPOConfig
-from qjrl.learning.ppo.dagger import DaggerConfig, deviation
+from qjrl.learning.ppo.dagger import deviation
 from qjrl.learning.ppo.iteration import make_plan
 from qjrl.learning.ppo.mesh import device_mesh
 from qjrl.learning.ppo.policy import deterministic_action
@@ -18,8 +18,8 @@ from qjrl.learning.ppo.programs import make_programs
 from qjrl.learning.ppo.train import run_dagger, train
 from qjrl.learning.ppo.trainer_state import policy_of
 
-DAGGER = DaggerConfig(rounds=2, steps=55, every=5, epochs=100, batch_size=128)
-CONFIG = PPOConfig(
+DAGGER = customary_dagger(rounds=2, steps=55, every=5, epochs=100, batch_size=128)
+CONFIG = customary_ppo(
     num_steps=4 * 10 * NUM_ENVS,
     unroll_length=10,
     num_minibatches=2,

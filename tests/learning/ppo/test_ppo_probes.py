@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from customary import customary_ppo
 from probe_environments import NUM_ENVS, ProbeEnvironment, a_sign, nothing, the_time
 
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.iteration import make_plan
 from qjrl.learning.ppo.mesh import device_mesh
 from qjrl.learning.ppo.policy import deterministic_action
@@ -18,7 +18,7 @@ DISCOUNT = 0.8
 VALUE_TOLERANCE = 0.02
 ACTION_TOLERANCE = 0.02
 
-CONFIG = PPOConfig(
+CONFIG = customary_ppo(
     unroll_length=10,
     num_minibatches=4,
     discount=DISCOUNT,

@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from customary import customary_ppo
 from drifting_environment import DriftingEnvironment
 from probe_environments import NUM_ENVS, ProbeEnvironment, a_sign
 
 from qjrl.artifacts import ArtifactError, load
 from qjrl.learning import checkpoints as ckpt
 from qjrl.learning.divergence import TrainingDiverged
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import Env
 from qjrl.learning.ppo.iteration import EXPLORES, make_plan
 from qjrl.learning.ppo.mesh import device_mesh
@@ -20,7 +20,7 @@ from qjrl.learning.ppo.train import run_iteration
 from qjrl.learning.ppo.train import train as train_ppo
 
 ITERATIONS = 5
-CONFIG = PPOConfig(
+CONFIG = customary_ppo(
     num_steps=ITERATIONS * 4 * NUM_ENVS,
     unroll_length=4,
     num_epochs=2,

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from customary import customary_ppo
 
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.networks import initial_parameters, make_networks
 from qjrl.learning.ppo.normaliser import initial_normaliser, update_normaliser
 from qjrl.learning.ppo.rollout import Rollout
 from qjrl.learning.ppo.update import adapted_rate, gradient_step, make_learner, make_update, minibatches
 
-CONFIG = PPOConfig(num_minibatches=3, num_epochs=2, actor_layers=(8,), critic_layers=(8,))
+CONFIG = customary_ppo(num_minibatches=3, num_epochs=2, actor_layers=(8,), critic_layers=(8,))
 SIZES = {"state": 3, "privileged_state": 4}
 STEPS, ENVS, ACTIONS = 5, 4, 2
 

@@ -18,7 +18,8 @@ def test_predictions_are_held_against_the_physics():
         "settled_least_tension": np.array([0.0, 0.02, 0.0, 3.1, 0.0]),
         "settled_position_error": np.array([1e-3, 2e-3, 3e-3, 4e-3, 1.0]),
     }
-    found = tension_metrics({f"{name}/{key}": value for name in ("any", "wanted") for key, value in one.items()})["any"]
+    arrays = {f"{name}/{key}": value for name in ("any", "wanted") for key, value in one.items()}
+    found = tension_metrics(arrays, 2.0)["any"]
     assert found["statuses"] == {"converged": 5} and found["num_unsettled"] == 1
     assert found["tension_error_max_N"] == pytest.approx(1.0) and found["settled_position_median_mm"] == pytest.approx(
         2.5
@@ -27,7 +28,13 @@ def test_predictions_are_held_against_the_physics():
     assert [
         slack[f"num_{kind}"] for kind in ("true_positive", "false_positive", "false_negative", "true_negative")
     ] == [1] * 4
-    assert found["below_2_N"]["predicted_share"] == found["below_2_N"]["settled_share"] == 0.75
+    for bound, said, is_so in (
+        (2.0, 0.75, 0.75),
+        (4.0, 1.0, 1.0),
+        (0.5, 0.5, 0.75),
+    ):  # the solver's, no bound of the report's own
+        below = tension_metrics(arrays, bound)["any"]["below_least_tension"]
+        assert (below["predicted_share"], below["settled_share"]) == (said, is_so), bound
 
 
 ARRAYS = {

@@ -18,7 +18,7 @@ from qjrl.studies.model_study.table import study_table
 FIT = FitConfig(epochs=4, batch_size=8, evaluate_every=2)
 SMALL = ForwardModelConfig("corrected", NetworkConfig(8, 1, 0, zero_output=True), FIT)
 CONFIG = ModelStudyConfig(
-    paper=ForwardModelConfig("paper", NetworkConfig(8, 1, 1), FIT),
+    paper=ForwardModelConfig("paper", NetworkConfig(8, 1, 1, zero_output=False), FIT),
     corrected=SMALL,
     sizes=(12, 1000),
     held_out=0.4,

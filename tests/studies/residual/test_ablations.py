@@ -7,7 +7,7 @@ from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import RandomisationConfig
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.dagger import DaggerConfig
-from qjrl.studies.residual.ablations import ABLATIONS, ablations
+from qjrl.studies.residual.ablations import ABLATIONS, USUAL_RATES, ablations
 from qjrl.studies.residual.parameter_effects import NOMINAL, one_at_a_time
 
 CONFIG = PolicyConfig(ppo=PPOConfig(num_steps=1000, learning_rate=1e-5, target_kl=0.01, dagger=DaggerConfig(rounds=8)))
@@ -27,7 +27,7 @@ def test_every_ablation_is_shortened_and_changes_what_its_name_says():
     assert differences(as_mapping(CONFIG), reference) == ["ppo.num_steps", "ppo.dagger.rounds"]
     assert made["as it is"].ppo.num_steps == 250 and made["as it is"].ppo.dagger.rounds == 2
     changed = {name: set(differences(reference, as_mapping(config))) for name, config in made.items()}
-    usual = {"ppo.learning_rate", "ppo.target_kl"}
+    usual = {f"ppo.{name}" for name in USUAL_RATES}
     residual, randomised = "environment.residual", "environment.randomisation"
     assert changed == {
         "as it is": set(),

@@ -8,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 from arms import arm_named, over_rows, random_bends
+from customary import customary_ppo
 from idle import idle_policy
 
 from qjrl import artifacts
@@ -16,7 +17,6 @@ from qjrl.control.episode import EnvironmentConfig
 from qjrl.control.policy_training import PolicyConfig
 from qjrl.control.randomisation import RandomisationConfig
 from qjrl.control.targets import TARGET_SETS
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.policy import save_policy
 from qjrl.report.output import write_output
 from qjrl.robot import cable_lengths, forward_kinematics
@@ -45,7 +45,7 @@ CONFIG = PolicyConfig(
         scored_time=0.06,
         randomisation=dataclasses.replace(NOMINAL, **{name: getattr(RandomisationConfig(), name) for name in VARIED}),
     ),
-    ppo=PPOConfig(
+    ppo=customary_ppo(
         num_steps=32,
         unroll_length=8,
         num_epochs=1,
