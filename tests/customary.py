@@ -3,10 +3,9 @@
 import dataclasses
 from typing import Any
 
-from qjrl.studies.residual.ablations import USUAL_RATES
-
 from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.dagger import DaggerConfig
+from qjrl.studies.residual.ablations import USUAL_RATES
 
 
 def customary_ppo(**changes: Any) -> PPOConfig:
