@@ -8,7 +8,7 @@ from qjrl.field_words import cut
 
 _TOKEN = re.compile(r"'(?:\\.|[^'\\])*'|\"(?:\\.|[^\"\\])*\"|[^\[\](){},:\s'\"]+")
 _PADDED = re.compile(r"([-+]?)0+(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)", re.ASCII)
-_GROUPED = re.compile(r"[-+]?\d[\d_]*_\d[\d_]*(?:\.[\d_]*)?(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED = re.compile(r"(?=.*_)[-+]?(?:\d[\d_]*\.?[\d_]*|\.\d[\d_]*)(?:[eE][-+]?\d[\d_]*)?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"([-+]?\d+),(0\d+)", re.ASCII)
 _LONGEST = 80
 

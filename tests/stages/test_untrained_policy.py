@@ -11,6 +11,7 @@ from qjrl.config import conf_folder, read_yaml
 from qjrl.control.policy_training import PHYSICS_RATES, PolicyConfig
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.config import PPOConfig
+from qjrl.report.compare.page import policy_section
 from qjrl.report.outcomes import Outcome
 from qjrl.report.output import write_output
 from qjrl.simulation import SettleConfig
@@ -68,9 +69,7 @@ def test_only_a_policy_that_starts_at_zero_is_called_its_base(trained, tmp_path,
     assert metrics["kept_env_steps"] == 0
     assert {"base", "untrained"} & metrics.keys() == {name} and metrics[name] == MEDIANS
     assert f"no trained checkpoint beats the {said} on the evaluated targets" in log
-    figure: Any = (
-        compare._policy_section(artifacts.load(tmp_path / "policy" / "progress.jsonl"), metrics).pictures[0].content
-    )
+    figure: Any = policy_section(artifacts.load(tmp_path / "policy" / "progress.jsonl"), metrics).pictures[0].content
     shown = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     assert shown[-2:] == [f"{said}, uniform bends", f"{said}, near home"]
 

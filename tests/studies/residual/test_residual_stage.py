@@ -63,7 +63,7 @@ def targets(seed):
     """Columns of a target bank, near enough to be reached in time."""
     bends = random_bends(ARM, 4, seed, 0.15)
     poses, lengths = (over_rows(verb, ARM, bends) for verb in (forward_kinematics, cable_lengths))
-    return {"target_set": np.repeat([0, 1], 2), "target": poses, "learned_lengths": lengths}
+    return {"target_set": np.repeat([0, 1], 2), "target": poses, "nominal_lengths": lengths, "learned_lengths": lengths}
 
 
 HELD_OUT, BANK = targets(0), targets(1)

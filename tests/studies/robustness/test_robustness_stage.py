@@ -35,7 +35,12 @@ def test_every_disturbance_moves_the_errors_and_an_idle_policy_equals_its_base(t
     bends = random_bends(ARM, COUNT, share=0.4)
     targets, lengths = over_rows(forward_kinematics, ARM, bends), over_rows(cable_lengths, ARM, bends)
     (tmp_path / "ik").mkdir()
-    held_out = {"target": targets, "target_set": np.repeat([0, 1], COUNT // 2), "learned_lengths": lengths}
+    held_out = {
+        "target": targets,
+        "target_set": np.repeat([0, 1], COUNT // 2),
+        "nominal_lengths": lengths,
+        "learned_lengths": lengths,
+    }
     artifacts.write_arrays(tmp_path / "ik" / "held_out.npz", held_out)
     (tmp_path / "policy").mkdir()
     save_policy(tmp_path / "policy" / "policy", idle_policy(ARM, POLICY.environment))
