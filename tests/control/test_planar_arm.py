@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from customary import customary_ppo
 from planar_arm import LIMIT, MAPPING, PLANAR_ARM
 from worlds import CONFIG, NUM_ENVS, keys_of, reset, step
 
@@ -13,7 +14,6 @@ from qjrl.config import ConfigError
 from qjrl.control.environment import residual_env
 from qjrl.control.nominal_environment import nominal_bank
 from qjrl.geometry.pose import row_errors
-from qjrl.learning.ppo.config import PPOConfig
 from qjrl.learning.ppo.environment import ACTOR_KEY
 from qjrl.learning.ppo.train import train
 from qjrl.robot import equilibrium, forward_kinematics, robot_from_mapping
@@ -146,7 +146,7 @@ def test_an_episode_takes_the_tip_to_its_target(env):
 
 
 def test_a_policy_is_trained_on_it(env, tmp_path):
-    config = PPOConfig(
+    config = customary_ppo(
         num_steps=2 * 8 * NUM_ENVS,
         unroll_length=8,
         num_epochs=1,

@@ -26,8 +26,7 @@ def seen(tension=15.0, bend_deg=0.0) -> PlantState:
 
 def weak_arm(force: float):
     """Its motors give way at so many newtons between the two strands of a loop."""
-    motors = dataclasses.replace(ARM.config.motors, force=force)
-    return dataclasses.replace(ARM, config=dataclasses.replace(ARM.config, motors=motors))
+    return dataclasses.replace(ARM, motor_force=jnp.asarray(force))
 
 
 @pytest.mark.parametrize(("beyond", "lost"), [(-1.0, False), (2.9, False), (3.1, True)])

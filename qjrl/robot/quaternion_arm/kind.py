@@ -1,6 +1,7 @@
 """The quaternion-joint arm as a kind of robot: its configuration is the bends (num_segments, 2), one pair a segment."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -65,7 +66,7 @@ def tip(arm: QuaternionArm, vectors: jax.Array) -> differential.Tip:
     return differential.tip_of(arm, vectors.reshape(arm.num_segments, 2, *vectors.shape[1:]))
 
 
-def motor_force(strand_tension: np.ndarray) -> np.ndarray:
+def motor_force(strand_tension: Any) -> Any:
     """Difference (..., cables) [N] of each loop's two strands, of tensions (..., strands) [N]."""
     return strand_tension[..., 0::2] - strand_tension[..., 1::2]
 
