@@ -4,17 +4,26 @@ from pathlib import Path
 
 
 class NotUTF8(ValueError):  # noqa: N818
-    """The bytes are a text in another encoding, or none. The message is the one line a user reads, without the file."""
+    """What was named is a text in another encoding, or none. The message is the one line a user reads, without the file."""
+
+
+# First bytes of what people give in place of a text -> what it is.
+_COMPRESSED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz", b"(\xb5/\xfd": "zstd"}
 
 
 def read_text(path: str | Path) -> str:
     """The text of a file in UTF-8, with a byte order mark or without; line ends as they are.
 
     Raises:
-        NotUTF8: it is in another encoding.
+        NotUTF8: it is in another encoding, compressed, or a folder.
         OSError: it cannot be read.
     """
+    if Path(path).is_dir():
+        raise NotUTF8("it is a folder, allowed: a file")
     content = Path(path).read_bytes()
+    for start, name in _COMPRESSED.items():
+        if content.startswith(start):
+            raise NotUTF8(f"it is compressed ({name}), allowed: a text in UTF-8; unpack it")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

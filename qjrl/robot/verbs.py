@@ -10,6 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from qjrl.config import ConfigError
+from qjrl.field_words import show
 from qjrl.robot.equilibrium import Equilibrium
 from qjrl.robot.kind import Robot as Robot
 from qjrl.robot.kinds import kind_of
@@ -80,6 +82,8 @@ def equilibrium(robot: Robot, lengths: jax.Array) -> Equilibrium:
 
 def strand_tension(robot: Robot, lengths: jax.Array, steps: int = statics.STEPS) -> jax.Array:
     """Tension (num_strands,) [N] of a robot as described that rests at cable lengths (num_cables,) [m], without simulation."""
+    if not isinstance(steps, int) or isinstance(steps, bool) or steps < 1:
+        raise ConfigError(f"steps: got {show(steps)}, allowed: an integer from 1")
     return _verb(robot, "strand_tension")(robot, one_of_lengths(robot, lengths), steps)
 
 

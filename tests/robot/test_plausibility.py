@@ -246,3 +246,8 @@ def test_what_is_no_robot_is_one_line():
     refused("robot: got 'qj_22', allowed: what load_robot returns", require_robot, "qj_22")
     refused("robot: got [1], allowed: a mapping", inspect.unwrap(robot_from_mapping), [1])
     assert one_sample(np.zeros(2, np.longdouble), (2,), "here").dtype == np.float64
+
+
+@pytest.mark.parametrize("steps", [0, -1, True])  # of another type they are refused by the checker of these tests first
+def test_steps_of_statics_are_counted(steps):
+    refused("steps: got", strand_tension, ARM, np.zeros(4), steps)

@@ -15,6 +15,7 @@ from qjrl.robot.unit_hints import length_hint
 
 Positive = Range(above=0.0)
 NonNegative = Range(low=0.0)
+Number = Annotated[int, Range(low=0)]
 LONGEST_NAME = 100
 """Letters; reports and file formats carry it."""
 
@@ -50,7 +51,7 @@ class CablesConfig:
     """Diameter D of the circle of holes in every plate [m]."""
     hole_angles_deg: tuple[tuple[float, float], ...]
     """Hole angle of the two cables of each segment [deg]; the return strand runs at +180."""
-    names: tuple[tuple[int, int], ...]
+    names: tuple[tuple[Number, Number], ...]
     """The number each cable goes by on the machine, per segment."""
 
 
