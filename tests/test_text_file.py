@@ -20,6 +20,7 @@ from qjrl.text_file import NotUTF8, read_text
         (b"x,y\n\xb5,2\n", "line 2 is not in UTF-8"),
         (b"x\0,\0", "zero bytes"),
     ],
+    ids=["gzip", "bzip2", "xz", "zip", "utf-16", "latin-1", "zeros"],
 )
 def test_what_is_no_text_in_utf8_is_named_on_one_line(tmp_path, content, words):
     (tmp_path / "file.csv").write_bytes(content)
