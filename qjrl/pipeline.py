@@ -274,7 +274,7 @@ def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -
 
         robot_from_mapping(tree[ROBOT])
     for config in configs.values():
-        config.check_robot()
+        _ = config.robot_hash  # raises for a robot that no stage can work on
         config.check()
     return configs
 

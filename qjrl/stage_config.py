@@ -13,7 +13,7 @@ class StageConfig:
 
     @property
     def robot_hash(self) -> str | None:
-        """Of the robots that the stage works on; None: it works on none."""
+        """Of the robots that the stage works on, whose ConfigErrors it raises; None: it works on none."""
         return None
 
     @property
@@ -39,9 +39,6 @@ class StageConfig:
         """The `Config` of all of the stage, the same for every part."""
         return self
 
-    def check_robot(self) -> None:
-        """Raises the ConfigError of a robot that no stage can work on."""
-
     def check(self) -> None:
         """Raises the ConfigError of fields that each are allowed and together are not, or of a file that cannot be read.
 
@@ -62,9 +59,3 @@ class RobotStageConfig(StageConfig):
         from qjrl.robot import robot_from_mapping, robot_hash
 
         return robot_hash(robot_from_mapping(self.robot))
-
-    def check_robot(self) -> None:
-        """Raises the ConfigError of a robot that no stage can work on."""
-        from qjrl.robot import robot_from_mapping
-
-        robot_from_mapping(self.robot)

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 
 from qjrl.deployment.functions import DeployedFunction, Outputs, Port, Precision
+from qjrl.robot.kinds import configuration_shape
 from qjrl.robot.verbs import Robot
 
 _ACTION = "a residual of the tip: shift, then rotation vector times 0.1 m; or one of every cable"
@@ -92,7 +93,9 @@ def deployed_controller(
 
 
 def _shapes(robot: Robot, begin: Callable[..., Any], precision: Precision) -> dict[str, jax.ShapeDtypeStruct]:
-    arrays = [jax.ShapeDtypeStruct(shape, precision) for shape in ((9,), (robot.num_cables,), (robot.num_segments, 2))]
+    arrays = [
+        jax.ShapeDtypeStruct(shape, precision) for shape in ((9,), (robot.num_cables,), configuration_shape(robot))
+    ]
     return dict(jax.eval_shape(begin, *arrays))
 
 

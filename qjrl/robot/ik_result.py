@@ -90,10 +90,8 @@ def check_initial_configurations(robot: Robot, configurations: Any, count: int) 
         raise ValueError(f"{where}: got shape {found.shape}, allowed: {expected} or {(count, *expected)}")
     if not np.all(np.isfinite(found)):
         raise ValueError(f"{where}: got non-finite values, allowed: finite numbers")
-    rows = found.reshape(-1, *expected)
     if (check := kind_of(robot).check) is not None:
-        for row in rows:
-            check(robot, row)
+        check(robot, found.reshape(-1, *expected), where)
     return np.broadcast_to(found, (count, *expected))
 
 

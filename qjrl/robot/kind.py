@@ -81,7 +81,7 @@ class Kind:
     configuration_name: str = "configuration"
     """What the columns of data sets call a configuration."""
     check: Callable[..., None] | None = None
-    """(robot, configuration, on the host) raises a ConfigError where no robot of this kind can have it."""
+    """(robot, configurations (n, ...), on the host, their name) raises a ConfigError where no robot of this kind can have one."""
     to_coordinates: Callable[..., jax.Array] | None = None
     """(robot, configuration) -> coordinates; None: its numbers in a row."""
     from_coordinates: Callable[..., jax.Array] | None = None
@@ -125,19 +125,21 @@ class Kind:
     configuration_from_joint_positions: Callable[..., jax.Array] | None = None
     """(robot, joint positions) -> nearest configuration."""
     reach: Callable[..., float] | None = None
-    """robot -> distance from the base that no tip goes far beyond [m]; None: of the tip at home."""
-
+    """robot -> distance from the base that no tip goes far beyond [m]."""
     cable_names: Callable[..., tuple[str, ...]] | None = None
     """robot -> names of the cables (num_cables,)."""
-
     strand_names: Callable[..., tuple[str, ...]] | None = None
     """robot -> names of the strands (num_strands,)."""
+
+    def shape_of(self, robot: Any) -> tuple[int, ...]:
+        """Shape of the robot's configuration."""
+        return self.home(robot).shape
 
     def configuration_of(self, robot: Any, coordinates: jax.Array) -> jax.Array:
         """The configuration of coordinates (n,)."""
         if self.from_coordinates is not None:
             return self.from_coordinates(robot, coordinates)
-        return coordinates.reshape(self.home(robot).shape)
+        return coordinates.reshape(self.shape_of(robot))
 
     def coordinates_of(self, robot: Any, configuration: jax.Array) -> jax.Array:
         """The coordinates (n,) of a configuration."""

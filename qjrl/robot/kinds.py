@@ -3,8 +3,6 @@
 import math
 from typing import Any
 
-import jax
-
 from qjrl.config import ConfigError
 from qjrl.field_words import show
 from qjrl.robot.kind import Kind, Robot
@@ -43,7 +41,7 @@ def verb(robot: Robot, name: str) -> Any:
 
 def configuration_shape(robot: Robot) -> tuple[int, ...]:
     """Shape of the robot's configuration."""
-    return jax.eval_shape(kind_of(robot).home, robot).shape
+    return kind_of(robot).shape_of(robot)
 
 
 def num_coordinates(robot: Robot) -> int:

@@ -75,7 +75,7 @@ def one_configuration(robot: Robot, value: Any) -> jax.Array:
     kind = kind_of(robot)
     configuration = one_sample(value, configuration_shape(robot), "configuration")
     if kind.check is not None and not _is_traced(configuration):
-        kind.check(robot, np.asarray(configuration))
+        kind.check(robot, np.asarray(configuration)[None], "configuration")
     return configuration
 
 

@@ -12,6 +12,7 @@ from qjrl.report.description import description_text
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.naming import cable_numbers
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.survey import DescribeConfig, survey_kinematics, survey_physics, warnings_about
 from qjrl.stage_config import RobotStageConfig
@@ -31,7 +32,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     with progress.track(config.describe.num_poses, "settling") as advance:
         physics = survey_physics(robot, config.simulation, config.describe, config.seed, advance)
     warnings = warnings_about(robot, kinematics, physics)
-    names = [number for pair in robot.config.cables.names for number in pair]
+    names = list(cable_numbers(robot))
     text = description_text(kinematics, physics, names, warnings)
     bends = np.concatenate(
         [np.zeros((1, robot.num_segments, 2)), draw_configurations(robot, "uniform", 2, config.seed)]

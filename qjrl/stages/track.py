@@ -19,6 +19,7 @@ from qjrl.report.track.tracked import Tracked, command_metrics, position_metrics
 from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
 from qjrl.simulation.settle_problem import SettleConfig
@@ -139,7 +140,7 @@ def _cables(plan: Plan) -> tuple[np.ndarray, ...]:
 
 
 def _cable_names(robot: Robot) -> list[str]:
-    return [f"cable {number}" for pair in robot.config.cables.names for number in pair]
+    return [name.replace("_", " ") for name in verb(robot, "cable_names")(robot)]
 
 
 def _movie(main: Evaluated) -> tuple[np.ndarray, np.ndarray]:

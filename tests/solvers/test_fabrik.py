@@ -155,8 +155,13 @@ def test_an_answer_beyond_the_limits_is_not_converged():
         (np.ones((1, 9)), None, "row 0 is no rotation"),
         (reachable(ARM, 2), np.zeros((4, 2)), r"initial_bends: got shape \(4, 2\), allowed: \(3, 2\) or \(2, 3, 2\)"),
         (reachable(ARM, 2), np.full((3, 2), np.nan), "initial_bends: got non-finite"),
+        (
+            reachable(ARM, 2),
+            np.full((2, 3, 2), 0.9),
+            r"^initial_bends: segment 0 \(the first is 0\): got a bend of length 1\.27",
+        ),
     ],
-    ids=["NaN", "eight columns", "no rotation", "four segments", "NaN bends"],
+    ids=["NaN", "eight columns", "no rotation", "four segments", "NaN bends", "half turns"],
 )
 def test_what_is_no_question_is_refused(targets, bends, message):
     with pytest.raises(ValueError, match=message):

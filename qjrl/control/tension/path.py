@@ -11,6 +11,7 @@ from qjrl.control.path.inversion import PathInversionConfig, invert_path
 from qjrl.control.path.paths import PosePath, ShapeConfig, make_path
 from qjrl.control.tension.poses import PoseSet
 from qjrl.robot import bends_from_cables, forward_kinematics
+from qjrl.robot.kinds import verb
 from qjrl.robot.plausibility import LARGEST_PLANNED, check_cable_lengths
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.row_by_row import row_by_row
@@ -65,9 +66,10 @@ def read_path(robot: Robot, source: str) -> np.ndarray | PosePath:
 
 def cable_quantity(robot: Robot) -> Quantity:
     """Cable lengths in the order of the description, by the cables' names on the machine."""
-    numbers = [number for pair in robot.config.cables.names for number in pair]
-    aliases = {text: f"cable_{number}" for number in numbers for text in (f"{number}", f"c{number}", f"cable {number}")}
-    return Quantity("cable_lengths", tuple(f"cable_{number}" for number in numbers), "m", aliases, "cable_names")
+    names = verb(robot, "cable_names")(robot)
+    numbers = {name: name.removeprefix("cable_") for name in names}
+    aliases = {text: name for name, n in numbers.items() for text in (n, f"c{n}", f"cable {n}")}
+    return Quantity("cable_lengths", names, "m", aliases, "cable_names")
 
 
 def _holds_cables(file: Path, cables: Quantity) -> bool:

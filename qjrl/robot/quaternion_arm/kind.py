@@ -14,7 +14,7 @@ from qjrl.robot.quaternion_arm import cables, coordinates, differential, kinemat
 from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
 from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, height_of_cosine, vector_from_bend
 from qjrl.robot.quaternion_arm.minimal_engine import MinimalEngine
-from qjrl.robot.quaternion_arm.naming import strand_name
+from qjrl.robot.quaternion_arm.naming import cable_numbers, strand_name
 from qjrl.robot.unit_hints import bend_hint
 
 
@@ -38,15 +38,15 @@ def within_limits(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
     return Discs(largest(arm)).within(bends.reshape(-1)).reshape(bends.shape)
 
 
-def check_bends(arm: QuaternionArm, bends: np.ndarray) -> None:
-    """Refuse bends (num_segments, 2) of 180 degrees and more."""
-    del arm
-    sizes = np.linalg.norm(bends, axis=1)
-    if sizes.max() >= 1.0:
-        segment = int(np.argmax(sizes))
+def check_bends(arm: QuaternionArm, bends: np.ndarray, where: str) -> None:
+    """Refuse bends (n, num_segments, 2) of 180 degrees and more."""
+    sizes = np.linalg.norm(bends, axis=-1)
+    largest_size = float(sizes.max())
+    if largest_size >= 1.0:
+        segment = int(np.argmax(sizes)) % arm.num_segments
         raise ConfigError(
-            f"configuration: segment {segment} (the first is 0): got a bend of length {sizes[segment]:.4g}, allowed: below 1, "
-            f"sin(theta/2) (cos phi, sin phi){bend_hint(float(sizes[segment]))}"
+            f"{where}: segment {segment} (the first is 0): got a bend of length {largest_size:.4g}, allowed: below 1, "
+            f"sin(theta/2) (cos phi, sin phi){bend_hint(largest_size)}"
         )
 
 
@@ -92,7 +92,7 @@ def straight_length(arm: QuaternionArm) -> float:
 
 def cable_names(arm: QuaternionArm) -> tuple[str, ...]:
     """ "cable_NUMBER" of every cable, by the number it goes by on the machine."""
-    return tuple(f"cable_{number}" for pair in arm.config.cables.names for number in pair)
+    return tuple(f"cable_{number}" for number in cable_numbers(arm))
 
 
 def strand_names(arm: QuaternionArm) -> tuple[str, ...]:

@@ -24,7 +24,11 @@ def leader(label: str, size: int) -> str:
     return f"{segment}_{(int(joint) - 1) // size * size + 1}"
 
 
+def cable_numbers(arm: QuaternionArm) -> tuple[int, ...]:
+    """The number that each cable goes by on the machine (num_cables,)."""
+    return tuple(number for pair in arm.config.cables.names for number in pair)
+
+
 def strand_name(arm: QuaternionArm, strand: int) -> str:
     """ "strand_NUMBER_a" at the cable's hole angle, "strand_NUMBER_b" opposite to it."""
-    numbers = [number for pair in arm.config.cables.names for number in pair]
-    return f"strand_{numbers[strand // 2]}_{'ab'[strand % 2]}"
+    return f"strand_{cable_numbers(arm)[strand // 2]}_{'ab'[strand % 2]}"

@@ -14,7 +14,7 @@ from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_er
 from qjrl.geometry.rotations import rotation_y, rotation_z
 from qjrl.robot import forward_kinematics
 from qjrl.robot.forward_model import PoseFunction
-from qjrl.robot.verbs import Robot
+from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
@@ -45,7 +45,7 @@ def unreachable_targets(robot: Robot, reachable: np.ndarray, config: Unreachable
     No pose lies beyond the straight arm's length; of the turned ones the arm may reach some after all.
     """
     poses = jnp.asarray(reachable[: config.num_targets])
-    length = jnp.linalg.norm(forward_kinematics(robot, jnp.zeros((robot.num_segments, 2)))[:3])
+    length = jnp.linalg.norm(forward_kinematics(robot, home(robot))[:3])
 
     def far(pose: jax.Array, key: jax.Array) -> jax.Array:
         scale = jax.random.uniform(key, minval=config.reach[0], maxval=config.reach[1])
