@@ -9,7 +9,7 @@ import numpy as np
 
 from qjrl.config import conf_folder, read_yaml
 from qjrl.robot import bends_from_angles, load_robot, robot_from_mapping
-from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.verbs import Robot
 
 SHIPPED = sorted(path.stem for path in (conf_folder() / "robot").glob("*.yaml"))

@@ -1,6 +1,6 @@
 """A toy kind of robot: two links in a plane, each joint turned by a loop of two strands. It proves what a kind must offer."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
 
 import jax
@@ -29,13 +29,16 @@ class PlanarArmConfig:
 
 @struct.dataclass
 class PlanarArm(Robot):
-    link_length: jax.Array
-    config: PlanarArmConfig = struct.field(pytree_node=False)
+    link_length: Any
 
     kind = "planar_arm"
     name = "toy"
     num_cables, num_strands, num_positions = 2, 4, 2
     motor_speed, motor_force, strand_friction, payload = 0.5, 100.0, 0.0, 0.0
+
+    @property
+    def config(self) -> PlanarArmConfig:
+        return PlanarArmConfig("planar_arm", 1, self.name, float(self.link_length))
 
 
 def forward_kinematics(arm: PlanarArm, angles: jax.Array) -> jax.Array:
@@ -73,7 +76,7 @@ def build_mjcf(arm: PlanarArm, options: SolverOptions) -> str:
 
 PLANAR_ARM = Kind(
     description=PlanarArmConfig,
-    make=lambda config: PlanarArm(jnp.asarray(config.link_length), config),
+    make=lambda config: PlanarArm(config.link_length),
     home=lambda arm: jnp.zeros(2),
     limits=lambda arm: Box(jnp.full(2, -LIMIT), jnp.full(2, LIMIT)),
     forward_kinematics=forward_kinematics,

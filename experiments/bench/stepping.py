@@ -10,7 +10,7 @@ from qjrl.control.randomisation import RandomisationConfig, draw_parameters
 from qjrl.provenance import provenance
 from qjrl.robot import cable_lengths, joint_positions, load_robot, strand_commands
 from qjrl.robot.plant import PhysicalParameters
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.engine import EngineConfig

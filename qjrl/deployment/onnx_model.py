@@ -14,7 +14,7 @@ from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.learning.fitting import predict
 from qjrl.robot import in_precision
 from qjrl.robot.forward_model import ForwardModel, make_network, model_inputs
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.quaternion_arm.tip import tip_poses
 from qjrl.robot.verbs import Robot, bends_from_cables
 

@@ -1,31 +1,38 @@
-"""An arm's survey as lines a person reads: SI numbers become millimetres and degrees here."""
+"""A robot's survey as lines a person reads: SI numbers become millimetres and degrees here."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from qjrl.robot.kinds import kind_of, verb
+from qjrl.robot.verbs import Robot
 
-def description_text(
-    kinematics: dict[str, Any], physics: dict[str, Any], cable_names: list[int], warnings: list[str]
-) -> str:
-    """The table that `describe` prints."""
+
+def description_text(robot: Robot, kinematics: dict[str, Any], physics: dict[str, Any], warnings: Sequence[str]) -> str:
+    """The table that `describe` prints.
+
+    Args:
+        kinematics, physics, warnings: of `simulation.survey`.
+    """
+    particulars, names = kind_of(robot).particulars, verb(robot, "cable_names")(robot)
     strokes = [
-        f"{name}: ±{1e3 * stroke:.0f}" for name, stroke in zip(cable_names, kinematics["cable_strokes"], strict=True)
+        f"{name.removeprefix('cable_')}: ±{1e3 * stroke:.0f}"
+        for name, stroke in zip(names, kinematics["cable_strokes"], strict=True)
     ]
-    low, high = kinematics["strand_common_part"]
     travel = kinematics["travel_times"]
     rows = [
-        ("arm", f"{kinematics['name']}, {kinematics['joint_model']} joints {kinematics['segments']}"),
-        ("degrees of freedom", f"{kinematics['degrees_of_freedom']} ({kinematics['joints']} joints)"),
+        ("robot", f"{kinematics['name']}, kind {kinematics['kind']}"),
+        ("degrees of freedom", f"{kinematics['degrees_of_freedom']}"),
         ("cables = motors", f"{kinematics['cables_and_motors']}, {kinematics['strands']} strands"),
-        ("length", f"{1e3 * kinematics['length']:.0f} mm, bends up to {kinematics['bend_limit_deg']:.0f}° a joint"),
+        ("length", f"{1e3 * kinematics['length']:.0f} mm at home"),
         ("reach of the tip", f"{1e3 * kinematics['largest_reach']:.0f} mm from the base"),
         ("workspace radius", f"{1e3 * kinematics['workspace_radius']:.0f} mm from the base axis"),
         ("tip from home", f"{1e3 * kinematics['median_distance_from_home']:.0f} mm median, "
                           f"{1e3 * kinematics['largest_distance_from_home']:.0f} mm largest"),
         ("cable strokes [mm]", ", ".join(strokes)),
         ("travel at motor speed", f"{min(travel):.1f} to {max(travel):.1f} s from home to full stroke"),
-        ("loop stretch when bent", f"{1e3 * low:.2f} to {1e3 * high:.2f} mm"),
+        *([] if particulars is None else particulars.rows(kinematics)),
         ("settled in the physics", f"{100 * physics['settled_share']:.1f} % of the poses"),
     ]  # fmt: skip
     if physics["settled_share"] > 0.0:

@@ -1,11 +1,12 @@
 """What a stage has made, and the one function that writes it: metrics, arrays, tables, figures, pages.
 
-Drawing is imported where there is something to draw: a stage without figures does not load matplotlib.
+Numbers are written before anything is drawn: where a drawing fails, they are there. Drawing is imported where there is
+something to draw: a stage without figures does not load matplotlib.
 """
 
 import dataclasses
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,16 @@ log = logging.getLogger(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
+class Drawn:
+    """Pictures and pages of a stage. A mapping is name -> content, the name without the ending of the file."""
+
+    figures: Mapping[str, "Figure"] = dataclasses.field(default_factory=dict)
+    """`NAME.png`."""
+    pages: Mapping[str, "Report"] = dataclasses.field(default_factory=dict)
+    """`NAME.html`; each gets the provenance of the stage."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Output:
     """What a stage has made. A mapping is name -> content, the name without the ending of the file."""
 
@@ -29,12 +40,10 @@ class Output:
     """`metrics.json`; None: no such file."""
     arrays: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
     """`NAME.npz`: name -> array."""
-    figures: Mapping[str, "Figure"] = dataclasses.field(default_factory=dict)
-    """`NAME.png`."""
+    draw: Callable[[], Drawn] | None = None
+    """Called when all numbers are written."""
     tables: Mapping[str, Sequence[Table]] = dataclasses.field(default_factory=dict)
     """`NAME.md`; they are logged too."""
-    pages: Mapping[str, "Report"] = dataclasses.field(default_factory=dict)
-    """`NAME.html`; each gets the provenance of the stage."""
     records: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """`NAME.json` beside the metrics."""
     files: Mapping[str, bytes] = dataclasses.field(default_factory=dict)
@@ -55,17 +64,17 @@ def write_output(output: Output, out: Path) -> None:
         artifacts.write_json(out / "metrics.json", output.metrics)
     for name, tables in output.tables.items():
         artifacts.write_bytes(out / f"{name}.md", "\n".join(map(as_markdown, tables)).encode())
-    if output.figures or output.pages:
-        _write_drawn(output, out)
+    if output.draw is not None:
+        _write_drawn(output.draw(), out)
     for shown in (*(table for tables in output.tables.values() for table in tables), *output.shown):
         log.info("%s", f"{as_text(shown)}\n" if isinstance(shown, Table) else shown)
 
 
-def _write_drawn(output: Output, out: Path) -> None:
+def _write_drawn(drawn: Drawn, out: Path) -> None:
     from qjrl.report.canvas import save_png
     from qjrl.report.page import write_report
 
-    for name, figure in output.figures.items():
+    for name, figure in drawn.figures.items():
         save_png(figure, out / f"{name}.png")
-    for name, page in output.pages.items():
+    for name, page in drawn.pages.items():
         write_report(out / f"{name}.html", dataclasses.replace(page, provenance=read_provenance(out)))

@@ -71,14 +71,15 @@ def controller_look(name: str, index: int) -> dict:
     return {"color": LIGHT[colour], "linestyle": dashes}
 
 
-ARM = {
-    "links": ("#3f5f7f", "#6f94b8", "#3f5f7f", "#6f94b8"),  # by segment
+PARTS = {
+    "link_0": "#3f5f7f",  # of every other section
+    "link_1": "#6f94b8",
     "plate": "#2b3640",
     "limb": "#c79a3e",
     "strand": "#c2543a",
     "base": "#9aa5b0",
 }
-"""Of the drawn arm: the same on white and on dark paper."""
+"""Of a drawn robot: the same on white and on dark paper."""
 
 AXES = (LIGHT["orange"], LIGHT["teal"], LIGHT["blue"])
 """x, y, z of a drawn frame."""

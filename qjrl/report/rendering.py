@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from qjrl.robot import build_mjcf
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 
 log = logging.getLogger(__name__)
@@ -99,7 +100,7 @@ def _furnish(spec, robot: Robot, floor: float, size: tuple[int, int]) -> None:
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE, size=[3.0, 3.0, 0.1], pos=[0.0, 0.0, floor], rgba=[0.86, 0.89, 0.92, 1.0]
     )
-    radius = 0.75 * robot.config.mechanics.link_radius
+    radius = 0.75 * verb(robot, "drawing").radius(robot)
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[radius, -floor / 2.0, 0.0], pos=[0.0, 0.0, floor / 2.0],
         rgba=[0.62, 0.66, 0.70, 1.0],

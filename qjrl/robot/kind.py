@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 
+from qjrl.robot.drawing import Drawing
 from qjrl.robot.limits import Limits
+from qjrl.robot.particulars import Particulars
 from qjrl.robot.tip import Tip, tip_by_differentiation
 
 
@@ -23,7 +25,7 @@ class Robot:
     kind: ClassVar[str]
     """Its key in `qjrl.robot.kinds.KINDS`."""
     config: Any
-    """The description it was made of."""
+    """The description of its numbers, made of them on the host: they stand in the pytree alone."""
     name: Any
     num_cables: Any
     """Cables, each driven by one motor."""
@@ -124,6 +126,10 @@ class Kind:
     """(robot, configuration) -> joint positions of the MJCF (num_positions,)."""
     configuration_from_joint_positions: Callable[..., jax.Array] | None = None
     """(robot, joint positions) -> nearest configuration."""
+    drawing: Drawing | None = None
+    """How it is drawn."""
+    particulars: Particulars | None = None
+    """What it says of itself beside what all kinds do."""
     reach: Callable[..., float] | None = None
     """robot -> distance from the base that no tip goes far beyond [m]."""
     cable_names: Callable[..., tuple[str, ...]] | None = None

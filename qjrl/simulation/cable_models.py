@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from qjrl.robot import build_mjcf, strand_commands
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.quaternion_arm.limited_strands import held_strand_lengths, limit_strands
 from qjrl.robot.solver_options import SolverOptions
 from qjrl.robot.verbs import Robot

@@ -16,7 +16,7 @@ from qjrl.report import metrics as measures
 from qjrl.report.answers import outcome_of
 from qjrl.report.compare.page import Compared, read_measured, run_page
 from qjrl.report.outcomes import Outcome
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.stage_config import RobotStageConfig
@@ -53,18 +53,22 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
         "ratio_intervals": verdict.intervals,
         "controllers": measures.metrics_of(outcomes),
     }
-    page = run_page(
-        f"{robot.name}, run {config.name}",
-        Compared(robot, outcomes, verdict, targets, TARGET_SETS),
-        measured,
-        artifacts.load(inputs["sample"], robot_hash(robot)),
-        {stage: _seconds(path) for stage, path in inputs.items()},
-        config.robot["strands"]["pretension"],
-    )
+
+    def draw() -> Drawn:
+        page = run_page(
+            f"{robot.name}, run {config.name}",
+            Compared(robot, outcomes, verdict, targets, TARGET_SETS),
+            measured,
+            artifacts.load(inputs["sample"], robot_hash(robot)),
+            {stage: _seconds(path) for stage, path in inputs.items()},
+            config.robot["strands"]["pretension"],
+        )
+        return Drawn(pages={"report": page})
+
     return Output(
         metrics,
         {"outcomes": _columns(outcomes)},
-        pages={"report": page},
+        draw,
         shown=(
             measures.error_table(outcomes),
             measures.tension_table(outcomes),

@@ -29,7 +29,7 @@ from qjrl.learning.ppo.policy import Policy, load_policy
 from qjrl.provenance import read_provenance
 from qjrl.report.deploy.figures import errors_over_time, latency_histogram
 from qjrl.report.deploy.report import deployment_report, episode_table, headline, target_mark
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import in_precision, robot_from_mapping, robot_hash
 from qjrl.robot.verbs import Robot
@@ -88,18 +88,22 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
         "is_viewed": settings.view,
     }
     metrics["is_quick_enough"] = metrics["timing"]["latency_p99_ms"] <= 1e3 * settings.accepted_latency
-    figures = {
-        "latency": latency_histogram(record["latency"][np.isin(record["flag"], ASKED)], settings.accepted_latency),
-        "error": errors_over_time(record, position),
-    }
-    first = record["episode"] == 0
-    time = record["period"][first] * float(record["control_period"])
-    animation = track_viewer(robot, time, record["joint_positions"][first], target_mark(record["target"][0]))
+
+    def draw() -> Drawn:
+        figures = {
+            "latency": latency_histogram(record["latency"][np.isin(record["flag"], ASKED)], settings.accepted_latency),
+            "error": errors_over_time(record, position),
+        }
+        first = record["episode"] == 0
+        time = record["period"][first] * float(record["control_period"])
+        animation = track_viewer(robot, time, record["joint_positions"][first], target_mark(record["target"][0]))
+        page = deployment_report(f"{robot.name} in real time", metrics, animation, figures)
+        return Drawn(figures, {"deploy": page})
+
     return Output(
         metrics,
         {"log": record},
-        figures,
-        pages={"deploy": deployment_report(f"{robot.name} in real time", metrics, animation, figures)},
+        draw,
         records={"contract": contract},
         files=export.files,
         shown=(episode_table(metrics), f"deploy: {headline(metrics)}"),

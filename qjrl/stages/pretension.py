@@ -13,7 +13,7 @@ from qjrl.control.tension.path import cable_quantity, read_path
 from qjrl.control.tension.poses import single_segment_poses
 from qjrl.control.tension.pretension import PretensionConfig, lowest_tension
 from qjrl.control.tension_check import TensionCheck, check_tension
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.report.pretension import maps, report
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.verbs import Robot
@@ -48,12 +48,16 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     checks = found.checks | {choice.at: choice.check}
     shown = {pretension: checks[pretension] for pretension in dict.fromkeys((float(robot.pretension), choice.at))}
     metrics = numbers.metrics_of(robot, settings, found, choice) | _on_fresh_poses(robot, config, choice.at)
-    pictures = _pictures(robot, config, metrics, shown)
+
+    def draw() -> Drawn:
+        pictures = _pictures(robot, config, metrics, shown)
+        figures = {name: figure for name, (figure, _) in pictures.items()}
+        return Drawn(figures, {"report": report.pretension_report(metrics, pictures)})
+
     return Output(
         metrics,
         {"tensions": _arrays(robot, found, choice)},
-        figures={name: figure for name, (figure, _) in pictures.items()},
-        pages={"report": report.pretension_report(metrics, pictures)},
+        draw,
         shown=(
             report.curve_table(metrics),
             f"as described: {metrics['own']['message'] or 'every pose is safe'}",

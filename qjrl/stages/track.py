@@ -12,7 +12,7 @@ from qjrl.control.tracking.moving import moving_breaches, moving_message
 from qjrl.control.tracking.playing import TrackConfig
 from qjrl.control.tracking.run import Evaluated, Plan, command_times, make_plan, nominal_plan, num_periods, perform
 from qjrl.control.tracking.trajectory import least_duration
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.report.track.figures import track_pictures
 from qjrl.report.track.report import headline, track_report
 from qjrl.report.track.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
@@ -61,16 +61,21 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
             "breaches": [dataclasses.asdict(breach) for breach in breaches],
             "message": moving_message(breaches),
         }
-    drawn = track_pictures(
-        _positions(plan, evaluated["planned"]), tracked, _cables(plan), _bounds(robot, settings), _cable_names(robot)
-    )
-    animation = track_viewer(robot, *_movie(evaluated["planned"]), plan.path.pose[:, :3])
-    title = f"Path {settings.path} on {robot.name}"
+
+    def draw() -> Drawn:
+        cables, names = _cables(plan), _cable_names(robot)
+        pictures = track_pictures(
+            _positions(plan, evaluated["planned"]), tracked, cables, _bounds(robot, settings), names
+        )
+        animation = track_viewer(robot, *_movie(evaluated["planned"]), plan.path.pose[:, :3])
+        title = f"Path {settings.path} on {robot.name}"
+        page = track_report(title, metrics, settings.accepted_error, animation, pictures)
+        return Drawn({name: figure for name, (figure, _) in pictures.items()}, {"track": page})
+
     return Output(
         metrics,
         {"trajectory": _columns(robot, settings, plan, evaluated["planned"])},
-        figures={name: figure for name, (figure, _) in drawn.items()},
-        pages={"track": track_report(title, metrics, settings.accepted_error, animation, drawn)},
+        draw,
         shown=(tracking_table(metrics["played"]), headline(metrics, settings.accepted_error)),
     )
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from qjrl.geometry.mesh import cylinder
 from qjrl.report import canvas, error_figures
-from qjrl.report.arm_drawing import FRONT, draw_arm, oblique
-from qjrl.report.arm_mesh import arm_mesh, cylinder
 from qjrl.report.compare import strand_figures, training_figures
 from qjrl.report.outcomes import Outcome
 from qjrl.report.palette import DARK, LIGHT, SERIES, series_colour
+from qjrl.report.robot_drawing import FRONT, draw_robot, oblique
 from qjrl.robot import forward_kinematics, load_robot
+from qjrl.robot.quaternion_arm.drawing import arm_mesh
 
 RECORDS = [{"epoch": epoch, "loss": None if epoch == 0 else 1.0 / epoch, "error": 5.0 - epoch} for epoch in range(4)]
 
@@ -107,11 +108,11 @@ def test_drawing_shows_the_arm_where_the_kinematics_put_it(arm):
 @pytest.mark.parametrize("name", ["qj_2222", "qj_22"])
 def test_drawing_has_three_views_with_scales(name):
     robot = load_robot(name)
-    figure = draw_arm(robot, np.zeros((2, robot.num_segments, 2)), np.array([[0.1, 0, 0.2, 1, 0, 0, 0, 1, 0]]))
+    figure = draw_robot(robot, np.zeros((2, robot.num_segments, 2)), np.array([[0.1, 0, 0.2, 1, 0, 0, 0, 1, 0]]))
     assert len(figure.axes) == 3
     assert figure.axes[1].get_xlim() == pytest.approx(figure.axes[2].get_xlim())
     assert figure.axes[1].get_xlabel() == "x [mm]"
-    assert len(draw_arm(robot, np.zeros((robot.num_segments, 2)), is_oblique_only=True).axes) == 1
+    assert len(draw_robot(robot, np.zeros((robot.num_segments, 2)), is_oblique_only=True).axes) == 1
 
 
 @pytest.mark.parametrize("view", [FRONT, oblique(), oblique(200.0, -30.0)])

@@ -8,7 +8,7 @@ import pytest
 from qjrl import artifacts
 from qjrl.provenance import provenance
 from qjrl.report.canvas import DPI, new_figure
-from qjrl.report.output import Output, write_output
+from qjrl.report.output import Drawn, Output, write_output
 from qjrl.report.page import Report
 from qjrl.report.tables import Column, Table, as_markdown, as_text
 
@@ -21,9 +21,8 @@ def test_what_a_stage_returns_is_written_under_the_names_it_gives_and_nothing_el
     output = Output(
         {"median_mm": 1.5},
         {"raw": {"errors": np.arange(3.0)}},
-        {"arm": new_figure(2.0, 1.0)},
+        lambda: Drawn({"arm": new_figure(2.0, 1.0)}, {"report": Report("a run", "It holds")}),
         {"table": (TABLE, OTHER)},
-        {"report": Report("a run", "It holds")},
         {"contract": {"format": 1}},
         {"forward.stablehlo": b"\x00\x01"},
     )
@@ -41,6 +40,17 @@ def test_what_a_stage_returns_is_written_under_the_names_it_gives_and_nothing_el
     assert width == pytest.approx(2.0 * DPI, abs=1)
     page = (tmp_path / "report.html").read_text()
     assert "It holds" in page and "&quot;x&quot;: 1" in page  # the provenance of the stage
+
+
+def test_a_drawing_that_fails_loses_no_number(tmp_path) -> None:
+    def draw() -> Drawn:
+        raise ZeroDivisionError("a picture of nothing")
+
+    output = Output({"median_mm": 1.5}, {"raw": {"errors": np.arange(3.0)}}, draw, {"table": (TABLE,)})
+    with pytest.raises(ZeroDivisionError):
+        write_output(output, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"metrics.json", "raw.npz", "table.md"}
+    assert artifacts.load(tmp_path / "metrics.json") == {"median_mm": 1.5}
 
 
 def test_tables_of_files_come_first_in_the_log_then_what_is_shown(tmp_path, caplog) -> None:

@@ -7,7 +7,7 @@ from arms import MADE_UP, SHIPPED, altered, arm_named
 
 from qjrl.config import ConfigError, conf_folder, read_yaml
 from qjrl.robot import build_mjcf, load_robot, robot_from_mapping, robot_hash
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.quaternion_arm.mjcf_ties import fit_height_polynomial
 
 

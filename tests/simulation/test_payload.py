@@ -6,15 +6,14 @@ import pytest
 from arms import arm_named
 
 from qjrl.robot import build_mjcf
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.simulation.payload import tip_body
 
 PAYLOADS = np.array([0.0, 0.05, 0.3])
 
 
 def with_payload(arm: QuaternionArm, payload: float) -> QuaternionArm:
-    mechanics = dataclasses.replace(arm.config.mechanics, payload=payload)
-    return dataclasses.replace(arm, config=dataclasses.replace(arm.config, mechanics=mechanics))
+    return dataclasses.replace(arm, payload=payload)
 
 
 def compiled(arm: QuaternionArm) -> mujoco.MjModel:

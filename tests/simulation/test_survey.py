@@ -39,8 +39,8 @@ def test_the_radius_of_one_joint_is_that_at_its_limit(one_joint, found):
     assert found["workspace_radius"] < found["largest_reach"]
 
 
-def test_the_radius_is_a_line_of_the_description(found):
-    text = description_text(found | {"workspace_radius": 0.0567}, NOTHING_SETTLED, [1, 2], ["beware"])
+def test_the_radius_is_a_line_of_the_description(one_joint, found):
+    text = description_text(one_joint, found | {"workspace_radius": 0.0567}, NOTHING_SETTLED, ["beware"])
     assert "workspace radius        57 mm from the base axis" in text and text.endswith("warning: beware")
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -140,7 +141,7 @@ def test_unreachable_targets_come_back_not_converged_and_finite():
 
 
 def test_an_answer_beyond_the_limits_is_not_converged():
-    narrow = dataclasses.replace(ARM, bend_limit=jnp.array(0.05))
+    narrow = dataclasses.replace(ARM, bend_limit_deg=math.degrees(0.05))
     targets = reachable(ARM, 16, share=0.5)
     result = solve_fabrik(narrow, targets, config=CONFIG)
     assert_sound(narrow, result, targets)

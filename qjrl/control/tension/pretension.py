@@ -17,7 +17,7 @@ from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.geometry.pose import row_errors
 from qjrl.keys import seed_for
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig

@@ -136,8 +136,8 @@ def _summary(compared: Compared, fitted: dict, trained: dict) -> tuple[Number, .
 def _arm_section(robot: Robot, targets: Mapping[str, np.ndarray]) -> Section:
     rows = np.flatnonzero(targets["target_set"] == 0)[:3]
     positions = targets["learned_joint_positions"][rows]
-    bends = np.stack([configuration_from_joint_positions(robot, row) for row in positions])
-    return sections.arm_section(robot, bends, targets["target"][rows], positions[0])
+    configurations = np.stack([configuration_from_joint_positions(robot, row) for row in positions])
+    return sections.arm_section(robot, configurations, targets["target"][rows], positions[0])
 
 
 def policy_section(records: list[dict], trained: dict[str, Any]) -> Section:

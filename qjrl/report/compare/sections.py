@@ -9,7 +9,6 @@ import numpy as np
 
 from qjrl.geometry.pose import row_errors
 from qjrl.report import error_figures
-from qjrl.report.arm_drawing import draw_arm
 from qjrl.report.compare import strand_figures
 from qjrl.report.compare.training_figures import learning_curves
 from qjrl.report.html import Number
@@ -17,9 +16,10 @@ from qjrl.report.metrics import by_target_set, error_table, tension_table
 from qjrl.report.outcomes import Outcome, target_set_label
 from qjrl.report.page import Picture, Section
 from qjrl.report.rendering import image_png, render_arm
-from qjrl.robot import bends_from_cables, forward_kinematics
-from qjrl.robot.quaternion_arm.joint import angles_of_bends
-from qjrl.robot.verbs import Robot
+from qjrl.report.robot_drawing import draw_robot
+from qjrl.robot import forward_kinematics
+from qjrl.robot.kinds import kind_of
+from qjrl.robot.verbs import Robot, configuration_from_cables
 
 Arrays = Mapping[str, np.ndarray]
 Metrics = Mapping[str, Any]
@@ -47,27 +47,29 @@ def results_section(outcomes: Sequence[Outcome], text: str = "", pretension: flo
 
 
 def arm_section(
-    robot: Robot, bends: np.ndarray, targets: np.ndarray, joint_positions: np.ndarray | None = None
+    robot: Robot, configurations: np.ndarray, targets: np.ndarray, joint_positions: np.ndarray | None = None
 ) -> Section:
     """The arm at a few targets, and the first of them by MuJoCo where this machine can render.
 
     Args:
-        bends: (k, segments, 2) where the arm is.
+        configurations: (k, ...) where the robot is.
         targets: (k, 9) where it should be [m, -].
         joint_positions: (nq,) of the first one, for the rendering; None: no rendering.
     """
     caption = (
         "The arm at some of the targets; small frames are the targets (x orange, y green, z blue), squares are 100 mm."
     )
-    pictures = [Picture(draw_arm(robot, bends, targets), caption, is_wide=True)]
+    pictures = []
+    if kind_of(robot).drawing is not None:
+        pictures.append(Picture(draw_robot(robot, configurations, targets), caption, is_wide=True))
     image = None if joint_positions is None else render_arm(robot, joint_positions)
     if image is not None:
         pictures.append(
             Picture(image_png(image), "The first of them in MuJoCo, with every strand that crosses a joint.")
         )
+    particulars = kind_of(robot).particulars
     text = (
-        f"{robot.name}: {robot.num_segments} segments of {', '.join(map(str, robot.joints_per_segment))} "
-        f"{robot.joint_model} quaternion joints, {robot.num_cables} cables of two strands each."
+        f"{robot.name}, kind {robot.kind}." if particulars is None else f"{robot.name}: {particulars.summary(robot)}."
     )
     return Section("Arm", text, pictures=tuple(pictures))
 
@@ -79,17 +81,17 @@ def sample_section(robot: Robot, data: Arrays) -> Section:
         data: columns of the data set, as `artifacts.load` gives them.
     """
     settled = data["converged"]
-    bends, lengths = data["bends"][settled], data["cable_lengths"][settled]
-    deviation, _ = row_errors(_nominal_poses(robot, jnp.asarray(lengths)), data["pose"][settled])
+    poses, home = data["pose"][settled], np.asarray(forward_kinematics(robot, kind_of(robot).home(robot)))
+    deviation, _ = row_errors(_nominal_poses(robot, jnp.asarray(data["cable_lengths"][settled])), poses)
     tension = data["strand_tension"][settled]
-    largest = np.degrees(angles_of_bends(bends).max(axis=1))
+    distance = 1e3 * np.linalg.norm(poses[:, :3] - home[:3], axis=1)
     numbers = (
         Number("settled rows", int(settled.sum())),
         Number("never settled", int((~settled).sum()), note="left out of training"),
         Number("tip off the nominal closed form", 1e3 * float(np.median(deviation)), "mm", "median"),
         Number("largest strand tension", float(tension.max()), "N"),
     )
-    figure = error_figures.error_against(largest, {"nominal": deviation}, "largest bend of a segment [°]")
+    figure = error_figures.error_against(distance, {"nominal": deviation}, "distance of the tip from home [mm]")
     caption = "How far gravity, stiffness and stretch move the tip from where the closed form expects it: what there is to learn."
     return Section(
         "Sample",
@@ -212,4 +214,4 @@ def warnings_of(outcomes: Sequence[Outcome], num_rows: int = 0, num_unsettled: i
 @jax.jit
 def _nominal_poses(robot: Robot, lengths: jax.Array) -> jax.Array:
     """Poses (n, 9) of the nominal closed form at cable lengths (n, cables) [m]."""
-    return jax.vmap(lambda row: forward_kinematics(robot, bends_from_cables(robot, row)))(lengths)
+    return jax.vmap(lambda row: forward_kinematics(robot, configuration_from_cables(robot, row)))(lengths)

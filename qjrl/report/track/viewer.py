@@ -1,4 +1,4 @@
-"""The arm on its path as an animation in the report: a canvas to turn, a slider, the frames in base64."""
+"""The robot on its path as an animation in the report: a canvas to turn, a slider, the frames in base64."""
 
 import base64
 import json
@@ -11,8 +11,7 @@ import numpy as np
 
 from qjrl.report.page import Fragment
 from qjrl.robot import configuration_from_joint_positions
-from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
-from qjrl.robot.quaternion_arm.kinematics import frames
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 
 _FULL = 32_000
@@ -36,8 +35,8 @@ def track_viewer(robot: Robot, time: np.ndarray, joint_positions: np.ndarray, pl
         "unit": unit,
         "time": [round(float(value), 4) for value in time[chosen]],
         "points": points.shape[1],
-        "segments": np.repeat(np.arange(robot.num_segments), 2 * np.array(robot.joints_per_segment)).tolist(),
-        "radius": robot.config.mechanics.link_radius,
+        "segments": verb(robot, "drawing").sections(robot),
+        "radius": verb(robot, "drawing").radius(robot),
         "arm": _encoded(points / unit),
         "path": _encoded(planned / unit),
     }
@@ -53,15 +52,14 @@ def track_viewer(robot: Robot, time: np.ndarray, joint_positions: np.ndarray, pl
 
 
 def _skeletons(robot: Robot, joint_positions: np.ndarray) -> np.ndarray:
-    """Base and both ends of every link (n, points, 3) [m], by the closed form at the bends that the physics had."""
-    poses = np.asarray(_all_frames(require_arm(robot, "the film of a path"), jnp.asarray(joint_positions)))[:, :, :3]
-    return np.concatenate([np.zeros((len(poses), 1, 3)), poses], axis=1)
+    """From the base to the tip (n, points, 3) [m], by the closed form at the configurations that the physics had."""
 
+    @jax.jit
+    def points(robot: Robot, positions: jax.Array) -> jax.Array:
+        configurations = jax.vmap(partial(configuration_from_joint_positions, robot))(positions)
+        return jax.vmap(partial(verb(robot, "drawing").skeleton, robot))(configurations)
 
-@jax.jit
-def _all_frames(robot: QuaternionArm, joint_positions: jax.Array) -> jax.Array:
-    bends = jax.vmap(partial(configuration_from_joint_positions, robot))(joint_positions)
-    return jax.vmap(partial(frames, robot))(bends)
+    return np.asarray(points(robot, jnp.asarray(joint_positions)))
 
 
 def _encoded(points: np.ndarray) -> str:

@@ -1,16 +1,10 @@
-"""What a quaternion-joint arm is: the values of its YAML, checked, and the pytree that the kinematics read."""
+"""What describes a quaternion-joint arm: the values of its YAML, checked."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import jax
-import jax.numpy as jnp
-from flax import struct
-
-from qjrl.config import ConfigError, Range, configuration
+from qjrl.config import Range, configuration
 from qjrl.field_words import show
-from qjrl.robot.kind import Robot
-from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 from qjrl.robot.unit_hints import length_hint
 
 Positive = Range(above=0.0)
@@ -186,113 +180,3 @@ def _check_hole_angles(cables: CablesConfig) -> None:
             f"cables.hole_angles_deg: got {[list(pair) for pair in cables.hole_angles_deg]}, allowed: all different by 1 deg "
             f"or more, modulo 180; the holes of cable {one} at {at:g} and of cable {other} at {other_at:g} collide{hint}"
         )
-
-
-@struct.dataclass
-class QuaternionArm(Robot):
-    """An arm as a pytree: lengths, angles and stiffnesses are traced leaves, counts and joint model static."""
-
-    crossed_link_length: jax.Array
-    """l [m]."""
-    pin_distance: jax.Array
-    """k [m]."""
-    plate_to_pin: jax.Array
-    """d [m]."""
-    link_length: jax.Array
-    """l0 [m]."""
-    hole_circle_diameter: jax.Array
-    """D [m]."""
-    hole_angles: jax.Array
-    """(num_segments, 2) [rad]."""
-    bend_limit: jax.Array
-    """Largest commanded theta [rad]."""
-    strand_stiffness: jax.Array
-    """Of strand and tensioner in series [N/m]."""
-    pretension: jax.Array
-    """[N]."""
-    motor_speed: jax.Array
-    """[m/s]."""
-    motor_force: jax.Array
-    """[N]."""
-    config: QuaternionArmConfig = struct.field(pytree_node=False)
-    """The values as described; what only the physics needs is read from here."""
-    joints_per_segment: tuple[int, ...] = struct.field(pytree_node=False)
-    joint_model: str = struct.field(pytree_node=False)
-    """"spherical" (constant height) or "rolling"."""
-
-    kind = "quaternion_arm"
-
-    @property
-    def name(self) -> str:
-        return self.config.name
-
-    @property
-    def strand_friction(self) -> float:
-        return self.config.strands.friction
-
-    @property
-    def payload(self) -> float:
-        return self.config.mechanics.payload
-
-    @property
-    def num_segments(self) -> int:
-        return len(self.joints_per_segment)
-
-    @property
-    def num_joints(self) -> int:
-        return sum(self.joints_per_segment)
-
-    @property
-    def num_positions(self) -> int:
-        """Joint positions of the MJCF: four half angles a joint, and a slide where it rolls."""
-        return self.num_joints * (5 if self.joint_model == "rolling" else 4)
-
-    @property
-    def num_cables(self) -> int:
-        return 2 * self.num_segments
-
-    @property
-    def num_strands(self) -> int:
-        return 4 * self.num_segments
-
-
-def arm_from_config(config: QuaternionArmConfig) -> QuaternionArm:
-    """The pytree of a checked description.
-
-    Raises:
-        ValueError: its values contradict each other.
-    """
-    check_dimensions(config)
-    joint, strands = config.joint, config.strands
-    compliance = 1.0 / strands.stiffness + (1.0 / strands.tensioner_stiffness if strands.tensioner_stiffness else 0.0)
-    is_spherical = joint.pin_distance == 0.0 and joint.plate_to_pin == 0.0
-    return QuaternionArm(
-        crossed_link_length=jnp.asarray(joint.crossed_link_length),
-        pin_distance=jnp.asarray(joint.pin_distance),
-        plate_to_pin=jnp.asarray(joint.plate_to_pin),
-        link_length=jnp.asarray(config.link_length),
-        hole_circle_diameter=jnp.asarray(config.cables.hole_circle_diameter),
-        hole_angles=jnp.radians(jnp.asarray(config.cables.hole_angles_deg)),
-        bend_limit=jnp.asarray(math.radians(joint.bend_limit_deg)),
-        strand_stiffness=jnp.asarray(1.0 / compliance),
-        pretension=jnp.asarray(strands.pretension),
-        motor_speed=jnp.asarray(config.motors.speed),
-        motor_force=jnp.asarray(config.motors.force),
-        config=config,
-        joints_per_segment=config.joints_per_segment,
-        joint_model="spherical" if is_spherical else "rolling",
-    )
-
-
-def require_arm(robot: Any, who: str) -> QuaternionArm:
-    """The robot, if it is a quaternion-joint arm.
-
-    Args:
-        who: what works for this kind alone, for the message.
-    Raises:
-        ConfigError: it is of another kind.
-    """
-    if not isinstance(robot, QuaternionArm):
-        kind = f"a robot of kind {robot.kind}" if isinstance(robot, Robot) else show(robot)
-        raise ConfigError(f"{who}: got {kind}, allowed: a robot of kind quaternion_arm")
-    return robot

@@ -16,7 +16,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from qjrl.geometry import batch_last
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.tip import Tip
 
@@ -95,10 +95,10 @@ def segment_end(arm: QuaternionArm, count: int, vector: Float[Array, "2 *batch"]
 def _plane_curve(arm: QuaternionArm, count: int, cosine):
     """(X / sin(theta/2), Z) of a segment's end: joint i leans (2i - 1) theta/2 and carries H, link i leans i theta."""
     crossed, pins, offset = (
-        length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
+        jnp.asarray(length, cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
     )
     height = height_of_cosine(crossed, pins, offset, cosine)
-    link = arm.link_length.astype(cosine.dtype)
+    link = jnp.asarray(arm.link_length, cosine.dtype)
     sines = _chebyshev(cosine, 2 * count)  # sin(n theta/2) / sin(theta/2) at n - 1
     cosines = [sines[0], *(after - cosine * before for before, after in itertools.pairwise(sines))]
     across = sum(height * sines[2 * i] + link * sines[2 * i + 1] for i in range(count))

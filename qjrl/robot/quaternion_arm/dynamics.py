@@ -16,7 +16,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.geometry.vectors import IDENTITY, ZERO
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.segment_chain import Load, in_order, mass_and_force, row
 from qjrl.robot.quaternion_arm.segment_shape import SegmentMotion, height_at, segment_motion, segment_motions
 
@@ -87,14 +87,14 @@ def joint_coordinates(arm: QuaternionArm, half_angles: jax.Array) -> jax.Array:
     return jnp.concatenate([joint[k] for k, count in enumerate(arm.joints_per_segment) for _ in range(count)])
 
 
-def hinge_stiffness(arm: QuaternionArm) -> np.ndarray:
+def hinge_stiffness(arm: QuaternionArm) -> jax.Array:
     """(coordinates,) [N m/rad]: four hinges of a joint carry 1/2 K theta^2 together."""
-    return np.repeat(4.0 * arm.config.mechanics.joint_stiffness * np.array(arm.joints_per_segment), 2)
+    return 4.0 * arm.joint_stiffness * jnp.asarray(np.repeat(arm.joints_per_segment, 2), float)
 
 
-def hinge_damping(arm: QuaternionArm) -> np.ndarray:
+def hinge_damping(arm: QuaternionArm) -> jax.Array:
     """(coordinates,) [N m s/rad]."""
-    return np.repeat(4.0 * arm.config.mechanics.joint_damping * np.array(arm.joints_per_segment), 2)
+    return 4.0 * arm.joint_damping * jnp.asarray(np.repeat(arm.joints_per_segment, 2), float)
 
 
 def _strands(arm: QuaternionArm, motion: SegmentMotion) -> tuple[jax.Array, jax.Array]:
@@ -104,7 +104,7 @@ def _strands(arm: QuaternionArm, motion: SegmentMotion) -> tuple[jax.Array, jax.
     """
     dtype = motion.height.at.dtype
     angles = arm.hole_angles.astype(dtype)
-    across = -arm.hole_circle_diameter.astype(dtype) * jnp.stack([jnp.cos(angles), jnp.sin(angles)])
+    across = -jnp.asarray(arm.hole_circle_diameter, dtype) * jnp.stack([jnp.cos(angles), jnp.sin(angles)])
     counts = arm.joints_per_segment
     height, bend_x, bend_y, lengths = 0.0, 0.0, 0.0, []
     for segment, count in enumerate(counts):

@@ -15,7 +15,7 @@ from qjrl.config import Range, configuration
 from qjrl.robot.batching import in_batches
 from qjrl.robot.forward_model import pose_function
 from qjrl.robot.ik_result import SolveResult, Status, check_initial_configurations, check_targets, describe_solution
-from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
 from qjrl.robot.quaternion_arm.fabrik_reach import Goal, goal_of, reach, tip_distance
 from qjrl.robot.verbs import cable_lengths

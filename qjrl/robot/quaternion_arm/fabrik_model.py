@@ -6,7 +6,7 @@ from flax import struct
 from jaxtyping import Array, Float
 
 from qjrl.geometry.rotations import safe_norm
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import bend_angle, height_of_cosine, joint_transform
 
 

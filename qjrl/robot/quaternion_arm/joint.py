@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.geometry.rotations import safe_norm
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 
 
 def half_direction(bend: Float[Array, "2"]) -> Float[Array, "3"]:

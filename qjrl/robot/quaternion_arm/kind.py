@@ -1,6 +1,5 @@
 """The quaternion-joint arm as a kind of robot: its configuration is the bends (num_segments, 2), one pair a segment."""
 
-import math
 from typing import Any
 
 import jax
@@ -11,10 +10,14 @@ from qjrl.config import ConfigError
 from qjrl.robot.kind import Kind
 from qjrl.robot.limits import Discs
 from qjrl.robot.quaternion_arm import cables, coordinates, differential, kinematics, mjcf, relaxation, sampling, statics
-from qjrl.robot.quaternion_arm.description import QuaternionArm, QuaternionArmConfig, arm_from_config
-from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, height_of_cosine, vector_from_bend
+from qjrl.robot.quaternion_arm.arm import QuaternionArm, arm_from_config
+from qjrl.robot.quaternion_arm.description import QuaternionArmConfig
+from qjrl.robot.quaternion_arm.drawing import DRAWING
+from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, vector_from_bend
 from qjrl.robot.quaternion_arm.minimal_engine import MinimalEngine
+from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
 from qjrl.robot.quaternion_arm.naming import cable_numbers, strand_name
+from qjrl.robot.quaternion_arm.particulars import PARTICULARS
 from qjrl.robot.unit_hints import bend_hint
 
 
@@ -78,16 +81,13 @@ def encoders(arm: QuaternionArm) -> tuple[int, ...]:
 
 def excess(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
     """Of the joint that is bent furthest [rad]."""
-    joint = arm.config.joint
-    stop = math.radians(joint.bend_limit_deg + joint.stop_margin_deg)
-    return jnp.max(jax.vmap(bend_angle)(bends)) - stop
+    return jnp.max(jax.vmap(bend_angle)(bends)) - arm.stop
 
 
 def straight_length(arm: QuaternionArm) -> float:
     """From the base to the tip of the straight arm [m]."""
-    joint = arm.config.joint
-    height = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
-    return arm.num_joints * (float(height) + arm.config.link_length)
+    config, height = arm.config, height_at_home(arm.config.joint)
+    return arm.num_joints * (height + config.link_length)
 
 
 def cable_names(arm: QuaternionArm) -> tuple[str, ...]:
@@ -132,6 +132,8 @@ QUATERNION_ARM = Kind(
     minimal_engine=MinimalEngine,
     joint_positions=coordinates.joint_positions,
     configuration_from_joint_positions=coordinates.bends_from_joint_positions,
+    drawing=DRAWING,
+    particulars=PARTICULARS,
     reach=straight_length,
     cable_names=cable_names,
     strand_names=strand_names,

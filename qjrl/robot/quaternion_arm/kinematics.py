@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.geometry.pose import pose_from_frame
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import joint_transform
 
 

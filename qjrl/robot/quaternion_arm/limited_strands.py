@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 from jaxtyping import Array, Float
 
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.cables import bends_from_cables, strand_lengths
-from qjrl.robot.quaternion_arm.description import QuaternionArm
 
 # Until it is commanded a strand is free [m].
 FREE_RANGE = "0 1000"

@@ -15,9 +15,9 @@ import numpy as np
 from flax import struct
 
 from qjrl.robot.plant import Guarded, PhysicalParameters, PlantState, guarded, tilted
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.cables import strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles
-from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import Load, joint_coordinates, tip_pose
 from qjrl.robot.quaternion_arm.minimal_step import MinimalState, Physics, minimal_steps, strand_tension
 
@@ -97,16 +97,15 @@ class MinimalEngine:
 
 def _physics(robot: QuaternionArm, parameters: PhysicalParameters) -> Physics:
     """What differs between arms, one row each, float32."""
-    strands, mechanics = robot.config.strands, robot.config.mechanics
     load = Load(
-        gravity=tilted(jnp.array(mechanics.gravity), parameters.tilt),
+        gravity=tilted(robot.gravity, parameters.tilt),
         armature_scale=parameters.armature_scale,
         payload=parameters.payload,
     )
     physics = Physics(
         load,
         strand_stiffness=robot.strand_stiffness * parameters.strand_gain,
-        strand_damping=strands.damping * parameters.strand_damping_scale,
+        strand_damping=robot.strand_damping * parameters.strand_damping_scale,
         strand_friction=parameters.strand_friction,
     )
     return jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), physics)

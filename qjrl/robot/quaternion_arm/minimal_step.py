@@ -21,7 +21,7 @@ import numpy as np
 from flax import struct
 
 from qjrl.geometry import cholesky
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import Equations, Load, equations_of_motion, hinge_damping, hinge_stiffness
 
 # Gauss-Seidel sweeps of a step; impulses are carried over, so they go on converging from step to step.
@@ -93,7 +93,7 @@ def in_blocks(function: Callable, arguments: tuple, batch_size: int) -> Any:
 
 def strand_tension(arm: QuaternionArm, physics: Physics, lengths: jax.Array, commands: jax.Array) -> jax.Array:
     """(strands, batch) [N]: a spring that pulls up to the strand's strength and never pushes."""
-    return jnp.clip(physics.strand_stiffness * (lengths - commands), 0.0, arm.config.strands.strength)
+    return jnp.clip(physics.strand_stiffness * (lengths - commands), 0.0, arm.strand_strength)
 
 
 def _step(
@@ -102,7 +102,7 @@ def _step(
     equations = equations_of_motion(arm, physics.load, state.half_angles, state.rates)
     tension = strand_tension(arm, physics, equations.strands, commands)
     lower, free = _without_rows(arm, physics, equations, state, tension, timestep)
-    room = (equations.cosines - _stop_cosine(arm)) / timestep
+    room = (equations.cosines - jnp.cos(arm.stop / 2.0)) / timestep
     friction = jnp.broadcast_to(timestep * physics.strand_friction, tension.shape)
     least = jnp.concatenate([-friction, jnp.zeros_like(room)])
     most = jnp.concatenate([friction, jnp.full_like(room, jnp.inf)])
@@ -120,7 +120,7 @@ def _without_rows(arm: QuaternionArm, physics: Physics, equations: Equations, st
     spring, damper = (
         jnp.asarray(values, tension.dtype)[:, None] for values in (hinge_stiffness(arm), hinge_damping(arm))
     )
-    is_spring = (tension > 0.0) & (tension < arm.config.strands.strength)
+    is_spring = (tension > 0.0) & (tension < arm.strand_strength)
     slope = equations.strand_slope
     resistance = timestep * physics.strand_damping + timestep**2 * physics.strand_stiffness * is_spring
     diagonal = timestep * damper + timestep**2 * spring
@@ -195,9 +195,3 @@ def _sweep(free, rows, room, least, most, impulses):
 def _strands_moved(arm: QuaternionArm, coordinate: int) -> slice:
     """Those of its own segment and of all after it."""
     return slice(arm.num_strands // arm.num_segments * (coordinate // 2), None)
-
-
-def _stop_cosine(arm: QuaternionArm) -> float:
-    """cos(theta/2) at the mechanical stop."""
-    joint = arm.config.joint
-    return math.cos(math.radians(joint.bend_limit_deg + joint.stop_margin_deg) / 2.0)

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from qjrl.robot.mjcf_text import add_element
 from qjrl.robot.plant import PAYLOAD_RADIUS
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf_ties import (
     HIDDEN_SITE,
     add_equalities,

@@ -13,7 +13,8 @@ import numpy as np
 
 from qjrl.config import ConfigError
 from qjrl.robot.mjcf_text import add_element
-from qjrl.robot.quaternion_arm.description import JointConfig, QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
+from qjrl.robot.quaternion_arm.description import JointConfig
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.naming import first_of_segment, joint_labels, leader
 

@@ -1,6 +1,6 @@
 """Names of the MJCF's elements."""
 
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 
 
 def joint_labels(arm: QuaternionArm) -> list[str]:
@@ -26,7 +26,7 @@ def leader(label: str, size: int) -> str:
 
 def cable_numbers(arm: QuaternionArm) -> tuple[int, ...]:
     """The number that each cable goes by on the machine (num_cables,)."""
-    return tuple(number for pair in arm.config.cables.names for number in pair)
+    return tuple(number for pair in arm.cable_numbers for number in pair)
 
 
 def strand_name(arm: QuaternionArm, strand: int) -> str:

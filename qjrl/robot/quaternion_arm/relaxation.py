@@ -5,13 +5,12 @@ phase in a time step, masses so light that they hardly count, under as much more
 """
 
 import dataclasses
-import math
 
 import numpy as np
 
 from qjrl.robot.kind import StandIn
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.cables import cable_matrix
-from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE, build_mjcf
@@ -50,24 +49,22 @@ def _stiffness(arm: QuaternionArm) -> np.ndarray:
 def _steepest_height(arm: QuaternionArm) -> float:
     """Largest change of a joint's height with its half angle, up to the stop [m/rad]; 0 for the spherical joint."""
     joint = arm.config.joint
-    half = np.linspace(0.0, math.radians(joint.bend_limit_deg + joint.stop_margin_deg) / 2.0, 50)
+    half = np.linspace(0.0, float(arm.stop) / 2.0, 50)
     heights = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, np.cos(half))
     return float(np.abs(np.gradient(heights, half)).max()) if arm.joint_model == "rolling" else 0.0
 
 
 def _light(arm: QuaternionArm, armature: float, scale: float) -> QuaternionArm:
     """The arm with an armature [kg m^2] that is multiplied by `scale` later, light masses and no damping."""
-    config, mechanics = arm.config, arm.config.mechanics
-    length = arm.num_joints * (height_at_home(config.joint) + config.link_length) + mechanics.link_radius
-    mass = arm.num_joints * (mechanics.joint_mass + mechanics.link_mass) + mechanics.payload
+    length = arm.num_joints * (height_at_home(arm.config.joint) + float(arm.link_length)) + float(arm.link_radius)
+    mass = arm.num_joints * float(arm.joint_mass + arm.link_mass) + float(arm.payload)
     lightness = min(1.0, _LIGHT * armature / (2.0 * arm.num_joints * mass * length**2))  # all of it at the tip at most
-    stand_in = dataclasses.replace(
-        mechanics,
-        joint_mass=lightness * mechanics.joint_mass,
-        link_mass=lightness * mechanics.link_mass,
-        payload=lightness * mechanics.payload,
-        gravity=tuple(component / lightness for component in mechanics.gravity),
+    return dataclasses.replace(
+        arm,
+        joint_mass=lightness * arm.joint_mass,
+        link_mass=lightness * arm.link_mass,
+        payload=lightness * arm.payload,
+        gravity=arm.gravity / lightness,
         armature=armature / scale,
         joint_damping=0.0,
     )
-    return dataclasses.replace(arm, config=dataclasses.replace(config, mechanics=stand_in))

@@ -5,10 +5,11 @@ A chord is a capsule and a link a cylinder, so inertia is `across` + (`along` - 
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 from flax import struct
 
 from qjrl.geometry.vectors import ZERO, Matrix, Symmetric, Vector, add, square, times
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.mjcf import CHORD_RADIUS
 from qjrl.robot.quaternion_arm.segment_shape import Body, SegmentMotion
@@ -17,9 +18,9 @@ from qjrl.robot.quaternion_arm.segment_shape import Body, SegmentMotion
 class _Kind(NamedTuple):
     """What all chords, or all links, share."""
 
-    mass: float
-    across: float
-    along: float
+    mass: Any
+    across: Any
+    along: Any
 
 
 @struct.dataclass
@@ -59,9 +60,9 @@ class SegmentForce:
     """For each half angle."""
 
 
-def segment_mass(arm: QuaternionArm, count: int) -> float:
+def segment_mass(arm: QuaternionArm, count: int) -> Any:
     """[kg]."""
-    return count * (arm.config.mechanics.joint_mass + arm.config.mechanics.link_mass)
+    return count * (arm.joint_mass + arm.link_mass)
 
 
 def segment_inertia(arm: QuaternionArm, motion: SegmentMotion) -> SegmentInertia:
@@ -128,23 +129,19 @@ def _swing(carried: Carried) -> Matrix:
 
 
 def _kinds(arm: QuaternionArm, motion: SegmentMotion) -> list[tuple[_Kind, list[Body]]]:
-    mechanics, joint = arm.config.mechanics, arm.config.joint
-    home_height = height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
-    chord = _capsule_inertia(mechanics.joint_mass, CHORD_RADIUS * mechanics.link_radius, home_height)
-    link = _cylinder_inertia(mechanics.link_mass, mechanics.link_radius, arm.config.link_length)
-    return [
-        (_Kind(mechanics.joint_mass, *chord), motion.chords),
-        (_Kind(mechanics.link_mass, *link), motion.links),
-    ]
+    home_height = height_of_cosine(arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin, 1.0)
+    chord = _capsule_inertia(arm.joint_mass, CHORD_RADIUS * arm.link_radius, home_height)
+    link = _cylinder_inertia(arm.link_mass, arm.link_radius, arm.link_length)
+    return [(_Kind(arm.joint_mass, *chord), motion.chords), (_Kind(arm.link_mass, *link), motion.links)]
 
 
-def _cylinder_inertia(mass: float, radius: float, length: float) -> tuple[float, float]:
+def _cylinder_inertia(mass: Any, radius: Any, length: Any) -> tuple[Any, Any]:
     """Across and along its axis [kg m^2]."""
-    length = max(length, 0.002)  # as in the MJCF
+    length = jnp.maximum(length, 0.002)  # as in the MJCF
     return mass * (3.0 * radius**2 + length**2) / 12.0, 0.5 * mass * radius**2
 
 
-def _capsule_inertia(mass: float, radius: float, length: float) -> tuple[float, float]:
+def _capsule_inertia(mass: Any, radius: Any, length: Any) -> tuple[Any, Any]:
     """A cylinder and two half balls of one density."""
     cylinder = mass * length / (length + 4.0 * radius / 3.0)
     balls = mass - cylinder

@@ -14,7 +14,7 @@ from flax import struct
 
 from qjrl.geometry.vectors import IDENTITY, ZERO, Matrix, Symmetric, Vector, add, both_ways, square, times
 from qjrl.robot.plant import PAYLOAD_RADIUS
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE
 from qjrl.robot.quaternion_arm.segment_bodies import (
     Carried,
@@ -141,7 +141,7 @@ def mass_and_force(
         slide = times(_slides(arm, load, like), motion.height.slope[j] * motion.height.slope[k])
         own[j, k] = add(value + _does(chain, j, *for_rate[k]), slide)
     for k in range(2):  # two hinges of a joint turn with a coordinate
-        armature = jnp.asarray([2.0 * arm.config.mechanics.armature * n for n in arm.joints_per_segment], like.dtype)
+        armature = 2.0 * jnp.asarray(arm.armature, like.dtype) * jnp.asarray(arm.joints_per_segment, like.dtype)
         own[k, k] = own[k, k] + armature.reshape(-1, *[1] * like.ndim) * load.armature_scale
     all_beyond = [(for_rate[k][0] + linear[k], for_rate[k][1] + angular[k]) for k in range(2)]
     pull = []
@@ -195,11 +195,11 @@ def _in_base_frame(chain: Chain, inertia: SegmentInertia, force: SegmentForce, m
     return _Beyond(mass, first + whole, second, linear, moment)
 
 
-def _beyond(chain: Chain, own: _Beyond, weights: list[float], like: jax.Array) -> _Beyond:
+def _beyond(chain: Chain, own: _Beyond, weights: list[Any], like: jax.Array) -> _Beyond:
     """All that lies beyond each segment's end."""
     found = [chain.tip]
     for k in reversed(range(1, len(weights))):
-        found.append(jax.tree.map(add, found[-1], row(dataclasses.replace(own, mass=weights[k]), k)))
+        found.append(jax.tree.map(add, found[-1], dataclasses.replace(row(own, k), mass=weights[k])))
     return stacked(found[::-1], like)
 
 

@@ -13,7 +13,7 @@ from flax import struct
 
 from qjrl.geometry import vectors
 from qjrl.geometry.vectors import IDENTITY, ZERO, Matrix, Vector, add, times
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
 
@@ -103,7 +103,7 @@ def segment_motion(arm: QuaternionArm, count: int, half_angles: Any, rates: Any)
     cosine = _cosine(joint)
     height = _height(arm, cosine, rates)
     home_height = 0.5 * height_at(arm, jnp.ones((), sine_x.dtype))
-    half_link = 0.5 * arm.link_length.astype(sine_x.dtype)
+    half_link = 0.5 * jnp.asarray(arm.link_length, sine_x.dtype)
     place, rotation, spin = Place(ZERO, (ZERO, ZERO), ZERO), IDENTITY, Spin((ZERO, ZERO), ZERO, ZERO)
     chords, links = [], []
     for _ in range(count):
@@ -249,5 +249,5 @@ def _vector_at(slope, rates) -> Vector:
 
 def _lengths(arm: QuaternionArm, cosine: jax.Array) -> tuple:
     return tuple(
-        length.astype(cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
+        jnp.asarray(length, cosine.dtype) for length in (arm.crossed_link_length, arm.pin_distance, arm.plate_to_pin)
     )

@@ -13,9 +13,9 @@ import numpy as np
 
 from qjrl.geometry import cholesky
 from qjrl.robot.equilibrium import Equilibrium
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.cables import bends_from_cables, strand_commands, strand_lengths
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles, half_angles
-from qjrl.robot.quaternion_arm.description import QuaternionArm
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
 from qjrl.robot.quaternion_arm.joint import joint_height
 from qjrl.robot.quaternion_arm.kinematics import frames
@@ -43,13 +43,13 @@ def strand_tension(arm: QuaternionArm, lengths: jax.Array, steps: int = STEPS) -
     right to 0.01 N all the same.
     """
     stretch = strand_lengths(arm, _bends(_rest(arm, lengths, steps))) - strand_commands(arm, lengths)
-    return jnp.clip(arm.strand_stiffness * stretch, 0.0, arm.config.strands.strength)
+    return jnp.clip(arm.strand_stiffness * stretch, 0.0, arm.strand_strength)
 
 
 def is_at_strength(arm: QuaternionArm, tension: Any) -> Any:
     """Whether strands of such tensions (...,) [N] would break. No model lets a strand carry more than its strength, so
     reaching it is what tells, but for the rounding of single precision."""
-    return tension >= (1.0 - 1e-6) * arm.config.strands.strength
+    return tension >= (1.0 - 1e-6) * arm.strand_strength
 
 
 def _rest(arm: QuaternionArm, lengths: jax.Array, steps: int) -> jax.Array:
@@ -79,12 +79,11 @@ def _torque(arm: QuaternionArm, commands: jax.Array, angles: jax.Array, causes: 
 
 def _energy(arm: QuaternionArm, commands: jax.Array, angles: jax.Array, causes: jax.Array) -> jax.Array:
     """[J] at half angles (2 segments,) [rad]; causes: logarithm of the gain, tilt about x and about y [rad]."""
-    mechanics, strength = arm.config.mechanics, arm.config.strands.strength
-    down = jnp.array(mechanics.gravity, angles.dtype)
+    down = jnp.asarray(arm.gravity, angles.dtype)
     down = down + jnp.cross(jnp.concatenate([causes[1:], jnp.zeros(1, angles.dtype)]), down)
     gain = jnp.exp(causes[0]) * arm.strand_stiffness
     stretch = jnp.maximum(strand_lengths(arm, _bends(angles)) - commands, 0.0)
-    spring = jnp.minimum(stretch, strength / gain)  # beyond it the servo pulls with all its strength
+    spring = jnp.minimum(stretch, arm.strand_strength / gain)  # beyond it the servo pulls with all its strength
     strands = jnp.sum(gain * (0.5 * spring**2 + spring * (stretch - spring)))
     hinges = 0.5 * jnp.sum(jnp.asarray(hinge_stiffness(arm), angles.dtype) * angles**2)
     return strands + hinges - down @ _first_moment(arm, _bends(angles))
@@ -92,14 +91,14 @@ def _energy(arm: QuaternionArm, commands: jax.Array, angles: jax.Array, causes: 
 
 def _first_moment(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
     """(3,) sum of all masses times where they are [kg m], payload included; chords and links as in `mjcf`."""
-    mechanics, joints = arm.config.mechanics, np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)
+    joints = np.repeat(np.arange(arm.num_segments), arm.joints_per_segment)
     plates, ends = frames(arm, bends)[:, :3].reshape(arm.num_joints, 2, 3).swapaxes(0, 1)
     starts = jnp.concatenate([jnp.zeros((1, 3), bends.dtype), ends[:-1]])
     heights = jax.vmap(lambda bend: joint_height(arm, bend))(bends)[joints]
     along = 0.5 * joint_height(arm, jnp.zeros(2, bends.dtype)) / heights  # a chord's mass stays half a home height up
     chords, links = starts + along[:, None] * (plates - starts), 0.5 * (plates + ends)
-    masses = mechanics.joint_mass * chords + mechanics.link_mass * links
-    return jnp.sum(masses, axis=0) + mechanics.payload * ends[-1]
+    masses = arm.joint_mass * chords + arm.link_mass * links
+    return jnp.sum(masses, axis=0) + arm.payload * ends[-1]
 
 
 def _solve(matrix: jax.Array, right: jax.Array) -> jax.Array:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from qjrl.robot.quaternion_arm.description import QuaternionArm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 
 Vector = tuple  # (x, y, z) as three scalars: under vmap each is one contiguous array

@@ -11,7 +11,7 @@ import numpy as np
 from qjrl import artifacts, progress
 from qjrl.control.first_commands import CONTROLLERS
 from qjrl.control.inversion import IKConfig
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.robot.forward_model import PoseFunction, load_pose_function
 from qjrl.robot.settled_rows import settled_rows
@@ -67,7 +67,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     table = corrections.corrections_table({labels[kind]: numbers for kind, numbers in metrics.items()})
     return Output(
         metrics | about | feasible,
-        figures={"corrections": _figure(found, labels, about["noise"])},
+        draw=lambda: Drawn({"corrections": _figure(found, labels, about["noise"])}),
         tables={"unreachable": (unreachable,), "table": (table,)},
         shown=list(_lines(about["ratios"]["exact"])),
     )

@@ -1,6 +1,7 @@
 """What the elliptical deviation does to a whole arm: to its tip, to the strands' common length, to their tension."""
 
 import dataclasses
+import math
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import numpy as np
 
 from qjrl.config import as_mapping
 from qjrl.robot import cable_lengths, robot_from_mapping, strand_commands, strand_lengths
-from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.joint import angles_of_bends
 from qjrl.robot.quaternion_arm.sampling import uniform_bends
 from qjrl.robot.quaternion_arm.tip import tip_position
@@ -61,7 +62,7 @@ def home_height(robot: Robot) -> float:
 
 def draw_limited_bends(robot: Robot, limit: float, count: int, seed: int) -> np.ndarray:
     """Bends (count, segments, 2), theta uniform up to `limit` [rad]."""
-    limited = robot.replace(bend_limit=jnp.asarray(limit))  # pyright: ignore[reportAttributeAccessIssue]
+    limited = robot.replace(bend_limit_deg=math.degrees(limit))  # pyright: ignore[reportAttributeAccessIssue]
     keys = jax.random.split(jax.random.key(seed), count)
     return np.asarray(jax.jit(jax.vmap(lambda key: uniform_bends(limited, key)))(keys))
 

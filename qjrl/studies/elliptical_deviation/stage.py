@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from qjrl import progress
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.stage_config import RobotStageConfig
@@ -27,13 +27,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     found = study.joint_map(robot, settings)
     return Output(
         study.metrics_of(robot, settings, studies, found),
-        figures={
-            "paths": figures.paths(studies),
-            "deviation": figures.deviations(studies, settings),
-            "maps": figures.maps(found, studies, settings),
-            "tip_shift": figures.tip_shifts(studies, settings),
-            "tensions": figures.tensions(studies),
-        },
+        draw=lambda: Drawn(
+            {
+                "paths": figures.paths(studies),
+                "deviation": figures.deviations(studies, settings),
+                "maps": figures.maps(found, studies, settings),
+                "tip_shift": figures.tip_shifts(studies, settings),
+                "tensions": figures.tensions(studies),
+            }
+        ),
         shown=(
             study.joint_table(studies, settings),
             study.arm_table(studies, settings),

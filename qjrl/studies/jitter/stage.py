@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from qjrl import progress
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping
 from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.jitter import figures, report
@@ -29,11 +29,13 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     return Output(
         metrics,
         {"norms": _norms(settings, findings)},
-        figures={
-            "norms": figures.velocity_norms(settings, findings),
-            "settings": figures.settings_tried(settings, metrics),
-            "width": figures.cost_of_width(metrics, settings.force),
-        },
+        lambda: Drawn(
+            {
+                "norms": figures.velocity_norms(settings, findings),
+                "settings": figures.settings_tried(settings, metrics),
+                "width": figures.cost_of_width(metrics, settings.force),
+            }
+        ),
         tables={"table": (report.speed_table(metrics), report.average_table(settings, metrics))},
         shown=(metrics["verdict"],),
     )

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from qjrl import artifacts
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping, robot_hash
 from qjrl.stage_config import RobotStageConfig
 from qjrl.studies.model_study import figures
@@ -22,11 +22,16 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     robot = robot_from_mapping(config.robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     metrics, evaluated = run_study(robot, config.model_study, data, config.seed, out / "fits")
-    drawn = {
-        "learning_curves": figures.learning_curves(metrics),
-        "ablation": figures.ablation(metrics),
-        "latency": figures.accuracy_against_latency(metrics),
-        "coverage": figures.coverage_curves(metrics["uncertainty"]),
-        "sigma": figures.errors_against_sigma(evaluated),
-    }
-    return Output(metrics, {"ensemble": evaluated}, drawn, shown=(study_table(metrics),))
+
+    def draw() -> Drawn:
+        return Drawn(
+            {
+                "learning_curves": figures.learning_curves(metrics),
+                "ablation": figures.ablation(metrics),
+                "latency": figures.accuracy_against_latency(metrics),
+                "coverage": figures.coverage_curves(metrics["uncertainty"]),
+                "sigma": figures.errors_against_sigma(evaluated),
+            }
+        )
+
+    return Output(metrics, {"ensemble": evaluated}, draw, shown=(study_table(metrics),))

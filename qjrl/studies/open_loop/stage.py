@@ -14,7 +14,7 @@ from qjrl.report import metrics as measures
 from qjrl.report.answers import outcome_at_rest
 from qjrl.report.error_figures import cumulative_errors
 from qjrl.report.outcomes import Outcome
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping
 from qjrl.robot.forward_model import load_pose_function
 from qjrl.simulation.settle_problem import SettleConfig
@@ -54,7 +54,9 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     return Output(
         {"controllers": measures.metrics_of(outcomes), "solved": solved, "ratios": ratios},
         {"outcomes": columns},
-        {name: cumulative_errors([one for one in outcomes if one.target_set == name]) for name in TARGET_SETS},
+        lambda: Drawn(
+            {name: cumulative_errors([one for one in outcomes if one.target_set == name]) for name in TARGET_SETS}
+        ),
         shown=(measures.error_table(outcomes), *lines),
     )
 

@@ -10,7 +10,7 @@ from qjrl.control.policy_training import PolicyConfig, check_training
 from qjrl.control.target_files import read_targets
 from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.stage_config import RobotStageConfig
@@ -43,10 +43,6 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     held_out, bank = (read_targets(inputs["ik"] / name) for name in ("held_out.npz", "bank.npz"))
     subject = make_subject(robot, config.engine, config.policy, held_out, settings.num_targets, config.seed)
     traces = over_time(subject, load_policy(inputs["policy"] / "policy"))
-    drawn = {}
-    for index, name in enumerate(TARGET_SETS):
-        of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
-        drawn[f"errors_{name}"] = figures.errors_over_time(of_set, config.policy.environment.control_period)
     with progress.track(len(settings.baseline_gains), "the baseline's gain") as advance:
         tuned = tuning(subject, settings.baseline_gains, lambda: advance(1))
     parameters = one_at_a_time(config.policy.environment.randomisation)
@@ -65,10 +61,18 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
         tables.effects_table(alone),
         *([tables.ablation_table(ablated)] if ablated else []),
     ]
+
+    def draw() -> Drawn:
+        drawn = {}
+        for index, name in enumerate(TARGET_SETS):
+            of_set = {key: errors[:, subject.targets["target_set"] == index] for key, errors in traces.items()}
+            drawn[f"errors_{name}"] = figures.errors_over_time(of_set, config.policy.environment.control_period)
+        return Drawn(drawn)
+
     return Output(
         found,
         {"traces": traces | {"target_set": subject.targets["target_set"]}},
-        drawn,
+        draw,
         {"table": written},
         shown=(f"residual: encoder noise alone, averaged since arrival: {floor}",),
     )

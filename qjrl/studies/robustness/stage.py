@@ -11,7 +11,7 @@ from qjrl.control.targets import TARGET_SETS
 from qjrl.learning.ppo.policy import load_policy
 from qjrl.report.answers import outcome_of
 from qjrl.report.outcomes import Outcome
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.settle_problem import SettleConfig
@@ -64,7 +64,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     return Output(
         metrics,
         {"outcomes": columns},
-        {target_set: errors_by_disturbance(found, target_set) for target_set in TARGET_SETS},
+        lambda: Drawn({target_set: errors_by_disturbance(found, target_set) for target_set in TARGET_SETS}),
         tables={"table": (robustness_table(found, *names),)},
         shown=(metrics["verdict"],),
     )

@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from qjrl import progress
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import load_robot
 from qjrl.stage_config import StageConfig
 from qjrl.studies.table3 import figures, protocol
@@ -28,10 +28,15 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     first = settings.cases[0]
     _, angles = protocol.draw_targets(load_robot(first.robot), first, settings.num_targets, config.seed)
     papers = [row["success_percent"] for row in metrics["published"] if row["method"] == "FABRIK"]
-    drawn = {
-        "success": figures.success_figure(curves, papers[0] if papers else None),
-        "failures": figures.failures_figure(measured[0]),
-        "success_by_bend": figures.success_by_bend_figure(measured[0], angles),
-        "methods": figures.trade_figure(metrics),
-    }
-    return Output(metrics, figures=drawn, shown=(solver_table(metrics),))
+
+    def draw() -> Drawn:
+        return Drawn(
+            {
+                "success": figures.success_figure(curves, papers[0] if papers else None),
+                "failures": figures.failures_figure(measured[0]),
+                "success_by_bend": figures.success_by_bend_figure(measured[0], angles),
+                "methods": figures.trade_figure(metrics),
+            }
+        )
+
+    return Output(metrics, draw=draw, shown=(solver_table(metrics),))

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from qjrl.report.arm_drawing import ABOVE, FRONT, View, oblique
 from qjrl.report.canvas import logarithmic, new_figure, new_plot, style
 from qjrl.report.palette import LIGHT, series_colour
+from qjrl.report.robot_drawing import ABOVE, FRONT, View, oblique
 from qjrl.studies.workspace.occupancy import RingGrid
 
 _VIEWS = {"oblique": oblique(), "front": FRONT, "above": ABOVE}

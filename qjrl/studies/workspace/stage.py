@@ -4,7 +4,7 @@ import dataclasses
 from pathlib import Path
 
 from qjrl import artifacts, progress
-from qjrl.report.output import Output
+from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_hash
 from qjrl.stage_config import StageConfig
 from qjrl.studies.workspace import comparison
@@ -34,13 +34,17 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     with progress.track(num_poses(settings), "drawing poses") as advance:
         workspaces = measure_workspaces(settings, config.seed, advance)
     pairs = comparison.compare(workspaces, settings.comparable_share)
-    pictures = workspace_figures(settings, workspaces)
     verdict = comparison.evaluate(pairs, settings.comparable_share)
+
+    def draw() -> Drawn:
+        pictures = workspace_figures(settings, workspaces)
+        figures = {name: figure for name, (figure, _) in pictures.items()}
+        return Drawn(figures, {"report": workspace_report(settings, workspaces, pairs, pictures)})
+
     return Output(
         comparison.metrics_of(settings, workspaces, pairs),
         {"rings": {f"{one.config.label}/{law}": hits for one in workspaces for law, hits in one.hits.items()}},
-        figures={name: figure for name, (figure, _) in pictures.items()},
-        pages={"report": workspace_report(settings, workspaces, pairs, pictures)},
+        draw,
         shown=(
             comparison.volume_table(workspaces),
             comparison.voxel_table(workspaces, settings.coarse_factor),

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.robot import bends_from_angles
-from qjrl.robot.quaternion_arm.description import QuaternionArm, require_arm
+from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.sampling import planar_bends
 from qjrl.robot.quaternion_arm.tip import tip_pose, tip_position
 from qjrl.robot.verbs import Robot

@@ -1,4 +1,4 @@
-"""Drawings of the arm: oblique, from the front and from above, the same polygons projected three times."""
+"""Drawings of a robot: oblique, from the front and from above, the same polygons projected three times."""
 
 import dataclasses
 import math
@@ -11,12 +11,14 @@ from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from qjrl.report.arm_mesh import Mesh, arm_mesh, pedestal
+from qjrl.geometry.mesh import Frame, Mesh, cylinder
 from qjrl.report.canvas import new_figure, style
-from qjrl.report.palette import AXES, LIGHT
-from qjrl.robot.quaternion_arm.description import require_arm
+from qjrl.report.palette import AXES, LIGHT, PARTS
+from qjrl.robot.kinds import configuration_shape, verb
 from qjrl.robot.verbs import Robot
 
+_FOOT_HEIGHT = 0.005
+"""Of the pedestal's foot [m]."""
 _LIGHT_DIRECTION = np.array([-0.35, 0.55, 0.76])
 """Towards the light, in coordinates of the picture: right, up, towards the eye."""
 
@@ -47,35 +49,46 @@ ABOVE = View(np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), ("x 
 
 
 @style()
-def draw_arm(
-    robot: Robot, bends: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False
+def draw_robot(
+    robot: Robot, configurations: np.ndarray, targets: np.ndarray | None = None, is_oblique_only: bool = False
 ) -> Figure:
-    """The arm at one or more configurations, with its targets as small frames (x orange, y green, z blue).
+    """The robot at one or more configurations, with its targets as small frames (x orange, y green, z blue).
 
     Args:
-        bends: (k, segments, 2) or (segments, 2).
+        configurations: (k, ...) or one.
         targets: (t, 9) poses [m, -], or none.
         is_oblique_only: leaves out the two projections with their scales.
+    Raises:
+        ConfigError: its kind has no drawing.
     """
-    arm = require_arm(robot, "the drawing")
-    bends = np.asarray(bends).reshape(-1, arm.num_segments, 2)
+    drawing = verb(robot, "drawing")
+    configurations = np.asarray(configurations).reshape(-1, *configuration_shape(robot))
     targets = np.zeros((0, 9)) if targets is None else np.asarray(targets).reshape(-1, 9)
-    mesh = sum((arm_mesh(arm, one) for one in bends), Mesh())
+    mesh = sum((drawing.mesh(robot, one) for one in configurations), Mesh())
     low, high = _bounds(mesh, targets)
     floor = min(-0.06, low[2] - 0.02)
+    standing = mesh + _pedestal(drawing.radius(robot), floor)
     if is_oblique_only:
         figure = new_figure(5.2, 4.6)
-        _draw(figure.add_subplot(), oblique(), mesh + pedestal(arm, floor), targets, floor)
+        _draw(figure.add_subplot(), oblique(), standing, targets, floor)
         return figure
     figure = new_figure(10.4, 5.6)
     heights = np.maximum(high - low, 0.15)
     grid = figure.add_gridspec(2, 2, width_ratios=[1.4, 1.0], height_ratios=[heights[2], heights[1]])
-    _draw(figure.add_subplot(grid[:, 0]), oblique(), mesh + pedestal(arm, floor), targets, floor)
+    _draw(figure.add_subplot(grid[:, 0]), oblique(), standing, targets, floor)
     for row, (view, up) in enumerate(((FRONT, 2), (ABOVE, 1))):
         axes = figure.add_subplot(grid[row, 1])
         _draw(axes, view, mesh, targets)
         axes.set(xlim=1e3 * np.array([low[0], high[0]]), ylim=1e3 * np.array([low[up], high[up]]))
     return figure
+
+
+def _pedestal(radius: float, floor: float) -> Mesh:
+    """A column from the base down to a floor [m]."""
+    mesh = Mesh()
+    mesh.add(cylinder(Frame(), floor, 0.0, 0.75 * radius), "base")
+    mesh.add(cylinder(Frame(), floor, floor + _FOOT_HEIGHT, 1.8 * radius), "base")
+    return mesh
 
 
 def _draw(axes: Axes, view: View, mesh: Mesh, targets: np.ndarray, floor: float | None = None) -> None:
@@ -102,7 +115,7 @@ def _draw_mesh(axes: Axes, view: View, mesh: Mesh) -> None:
     normals = [_normal(polygon) for polygon in projected]
     visible = [index for index, normal in enumerate(normals) if normal is None or normal[2] > 0.0]
     visible.sort(key=lambda index: projected[index][:, 2].mean())
-    colours = [_shaded(mesh.colours[index], normals[index]) for index in visible]
+    colours = [_shaded(PARTS[mesh.parts[index]], normals[index]) for index in visible]
     widths = [0.6 if normals[index] is None else 0.35 for index in visible]
     faces = [projected[index][:, :2] for index in visible]
     axes.add_collection(
@@ -111,7 +124,7 @@ def _draw_mesh(axes: Axes, view: View, mesh: Mesh) -> None:
 
 
 def _draw_floor(axes: Axes, view: View, mesh: Mesh, floor: float) -> None:
-    """Squares of 100 mm, and the arm's shadow straight below it."""
+    """Squares of 100 mm, and the robot's shadow straight below it."""
     points = np.concatenate(mesh.polygons)
     low, high = (np.floor(10.0 * points.min(0)) - 0.5) / 10.0, (np.ceil(10.0 * points.max(0)) + 0.5) / 10.0
     xs, ys = (np.arange(low[i] + 0.05, high[i], 0.1) for i in (0, 1))
