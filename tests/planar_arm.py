@@ -87,7 +87,7 @@ PLANAR_ARM = Kind(
     configuration_from_cables=lambda arm, lengths: jnp.linalg.solve(CABLES, lengths),
     cable_strokes=lambda arm: jnp.sum(jnp.abs(CABLES), axis=1) * LIMIT,
     strand_commands=strand_commands,
-    motor_force=lambda tension: tension[..., 0::2] - tension[..., 1::2],
+    motor_force=lambda arm, tension: tension[..., 0::2] - tension[..., 1::2],
     is_at_strength=lambda arm, tension: tension >= 500.0,
     build_mjcf=build_mjcf,
     joint_positions=lambda arm, angles: angles,

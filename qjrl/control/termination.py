@@ -30,7 +30,7 @@ class TerminationConfig:
 
 def is_overloaded(robot: Robot, plant: PlantState) -> jax.Array:
     """Whether a motor pulls with all its force or a strand with all its strength, of tensions (strands,) [N]."""
-    force = verb(robot, "motor_force")(plant.strand_tension)
+    force = verb(robot, "motor_force")(robot, plant.strand_tension)
     stalls = jnp.any(jnp.abs(force) >= robot.motor_force)
     return stalls | jnp.any(is_at_strength(robot, plant.strand_tension))
 

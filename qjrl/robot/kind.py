@@ -105,7 +105,7 @@ class Kind:
     strand_commands: Callable[..., jax.Array] | None = None
     """(robot, cable lengths) -> controls of the MJCF (num_strands,)."""
     motor_force: Callable[..., Any] | None = None
-    """Strand tensions (..., num_strands) [N] -> force of each motor (..., num_cables) [N]."""
+    """(robot, strand tensions (..., num_strands) [N]) -> force of each motor (..., num_cables) [N]."""
     equilibrium: Callable[..., Any] | None = None
     """(robot, cable lengths) -> where it rests and what would move it from there."""
     strand_tension: Callable[..., jax.Array] | None = None

@@ -59,7 +59,7 @@ class SettleResult:
         """(n, cables) force that each motor holds [N]: where two strands pull against each other, their difference, to
         compare with its bound. The physics does not clip it: a pose that needs more is one that the real robot does not
         reach."""
-        return verb(self.robot, "motor_force")(self.strand_tension)
+        return verb(self.robot, "motor_force")(self.robot, self.strand_tension)
 
     @property
     def bends(self) -> np.ndarray:

@@ -73,7 +73,7 @@ def survey_physics(
         "settled_share": float(rows["converged"].mean()),
         "tension": [float(tension.min()), float(np.median(tension)), float(tension.max())],
         "slack_share": float((tension < SLACK_TENSION).mean()),
-        "largest_motor_force": float(np.abs(verb(robot, "motor_force")(tension)).max()),
+        "largest_motor_force": float(np.abs(verb(robot, "motor_force")(robot, tension)).max()),
         "off_nominal": [float(np.median(position)), float(np.percentile(position, 90)), float(position.max())],
         "off_nominal_angle": [float(np.median(orientation)), float(orientation.max())],
     }

@@ -1,6 +1,7 @@
 """A toy kind of robot goes through the same stages as the arm: nothing outside its own file knows it."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +28,9 @@ from qjrl.simulation.engines import make_engine
 from qjrl.simulation.sampling import sample_rows
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.simulation.settling import settle
+from qjrl.simulation.survey import DescribeConfig
 from qjrl.solvers import AdamConfig, LeastSquaresConfig, solve_adam, solve_fabrik, solve_least_squares
+from qjrl.stages import describe
 
 SETTLING = SettleConfig(damping_scale=1.0)
 EPISODE = dataclasses.replace(CONFIG, latest_arrival=0.3)
@@ -108,6 +111,16 @@ def test_out_of_reach_the_nearest_pose_is_found_at_the_limits(arm):
     best = np.sqrt(position**2 + (0.1 * orientation) ** 2).min()
     cost = np.sqrt(found.position_error**2 + (0.1 * found.orientation_error) ** 2)[0]
     assert cost <= best + 1e-9
+
+
+def test_it_is_described_though_it_has_no_particulars_and_no_drawing(arm):
+    config = describe.Config(seed=0, robot=MAPPING, simulation=SETTLING, describe=DescribeConfig(num_poses=16))
+    output = describe.run(config, {}, Path())
+    numbers = output.records["description"]
+    assert output.draw is None and numbers["warnings"] == []
+    assert numbers["kinematics"]["largest_reach"] == pytest.approx(0.3, rel=1e-3)
+    assert numbers["physics"]["settled_share"] == 1.0
+    assert "kind planar_arm" in output.files["description.txt"].decode()
 
 
 def test_a_model_is_fitted_to_it(arm, rows, tmp_path):

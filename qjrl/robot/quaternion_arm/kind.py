@@ -69,8 +69,9 @@ def tip(arm: QuaternionArm, vectors: jax.Array) -> differential.Tip:
     return differential.tip_of(arm, vectors.reshape(arm.num_segments, 2, *vectors.shape[1:]))
 
 
-def motor_force(strand_tension: Any) -> Any:
+def motor_force(arm: QuaternionArm, strand_tension: Any) -> Any:
     """Difference (..., cables) [N] of each loop's two strands, of tensions (..., strands) [N]."""
+    del arm
     return strand_tension[..., 0::2] - strand_tension[..., 1::2]
 
 
