@@ -108,6 +108,8 @@ class Kind:
     """(robot, strand tensions (..., num_strands) [N]) -> force of each motor (..., num_cables) [N]."""
     equilibrium: Callable[..., Any] | None = None
     """(robot, cable lengths) -> where it rests and what would move it from there."""
+    at_pretension: Callable[..., Robot] | None = None
+    """(robot, tension of the strands at home [N]) -> the robot with it."""
     strand_tension: Callable[..., jax.Array] | None = None
     """(robot, cable lengths, steps) -> tension of the strands at rest (num_strands,) [N]."""
     encoders: Callable[..., tuple[int, ...]] | None = None

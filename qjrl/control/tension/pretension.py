@@ -8,7 +8,6 @@ motors and, since tense strands push a bent joint further, drives the arm toward
 import dataclasses
 from typing import Annotated
 
-import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range, configuration
@@ -17,7 +16,7 @@ from qjrl.control.tension.poses import Law, PoseSet, workspace_poses
 from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.geometry.pose import row_errors
 from qjrl.keys import seed_for
-from qjrl.robot.quaternion_arm.arm import require_arm
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
@@ -92,8 +91,8 @@ class Choice:
 
 
 def at_pretension(robot: Robot, pretension: float) -> Robot:
-    """The arm with another pretension [N], without compiling anything again; its hash and config stay the old."""
-    return dataclasses.replace(require_arm(robot, "pretension"), pretension=jnp.asarray(float(pretension)))
+    """The robot with another pretension [N]: another robot, for which nothing is compiled again."""
+    return verb(robot, "at_pretension")(robot, float(pretension))
 
 
 def poses_to_keep(robot: Robot, config: PretensionConfig, seed: int) -> PoseSet:

@@ -1,5 +1,6 @@
 """The quaternion-joint arm as a kind of robot: its configuration is the bends (num_segments, 2), one pair a segment."""
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -75,6 +76,11 @@ def motor_force(arm: QuaternionArm, strand_tension: Any) -> Any:
     return strand_tension[..., 0::2] - strand_tension[..., 1::2]
 
 
+def at_pretension(arm: QuaternionArm, pretension: float) -> QuaternionArm:
+    """The arm whose strands have this tension at home [N]."""
+    return dataclasses.replace(arm, pretension=pretension)
+
+
 def encoders(arm: QuaternionArm) -> tuple[int, ...]:
     """A segment's reading is the mean over its joints."""
     return arm.joints_per_segment
@@ -124,6 +130,7 @@ QUATERNION_ARM = Kind(
     strand_commands=cables.strand_commands,
     motor_force=motor_force,
     equilibrium=statics.equilibrium,
+    at_pretension=at_pretension,
     strand_tension=statics.strand_tension,
     encoders=encoders,
     excess=excess,

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Annotated
 
 from qjrl.config import Range, configuration
-from qjrl.simulation.cable_models import CableModel
+from qjrl.studies.jitter.cable_models import CableModel
 
 MJX_SERVO_ITERATIONS = 3
 """What `mjx_model.load_arm` uses where equality rows are all that binds."""

@@ -8,9 +8,8 @@ import numpy as np
 
 from qjrl.robot import bends_from_angles, cable_lengths, forward_kinematics
 from qjrl.robot.verbs import Robot
-from qjrl.simulation.cable_models import Play, Recording, StrandLimits
-from qjrl.simulation.mujoco_recording import record_mujoco
 from qjrl.simulation.row_by_row import row_by_row
+from qjrl.studies.jitter.cable_models import Play, Recording, StrandLimits
 from qjrl.studies.jitter.cases import (
     CONTROL_PERIOD,
     OWN_TOLERANCE,
@@ -21,6 +20,7 @@ from qjrl.studies.jitter.cases import (
     all_cases,
     deflected_cases,
 )
+from qjrl.studies.jitter.mujoco_recording import record_mujoco
 
 ENGINES = tuple(OWN_TOLERANCE)
 _C = ENGINES[0]
@@ -133,7 +133,7 @@ def moving_average(velocities: np.ndarray, width: int) -> np.ndarray:
 
 
 def _in_mjx(group: Sequence[Case], num_poses: int) -> Callable[[Play], Recording]:
-    from qjrl.simulation.mjx_recording import record_mjx
+    from qjrl.studies.jitter.mjx_recording import record_mjx
 
     is_balanced = np.repeat([case.is_balanced for case in group], num_poses)
     return lambda play: record_mjx(play, is_balanced)

@@ -12,8 +12,8 @@ from flax import struct
 from qjrl.progress import compiling
 from qjrl.robot import joint_positions
 from qjrl.robot.verbs import home
-from qjrl.simulation.cable_models import CableModel, Play, Recording
 from qjrl.simulation.mjx_model import ArmState, MjxArm, Rows, balanced, compile_batch, load_arm, mjx, single_precision
+from qjrl.studies.jitter.cable_models import CableModel, Play, Recording
 
 
 @struct.dataclass

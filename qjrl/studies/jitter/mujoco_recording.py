@@ -7,7 +7,7 @@ from mujoco import batch
 from qjrl.cores import usable_cores
 from qjrl.robot import joint_positions
 from qjrl.robot.verbs import home
-from qjrl.simulation.cable_models import Play, Recording
+from qjrl.studies.jitter.cable_models import Play, Recording
 
 
 def record_mujoco(play: Play, tip_force: np.ndarray | None = None, num_threads: int = 0) -> Recording:

@@ -9,9 +9,9 @@ from arms import over_rows, random_bends
 
 from qjrl.robot import cable_lengths, forward_kinematics, joint_positions, load_robot, strand_commands
 from qjrl.robot.plant import PhysicalParameters
-from qjrl.simulation.cable_models import Play, StrandLimits
-from qjrl.simulation.mujoco_recording import record_mujoco
 from qjrl.simulation.stepping import MujocoStepper
+from qjrl.studies.jitter.cable_models import Play, StrandLimits
+from qjrl.studies.jitter.mujoco_recording import record_mujoco
 
 PERIODS = 100
 

@@ -78,7 +78,7 @@ class Play:
     @property
     def strand_targets(self) -> np.ndarray:
         """(periods, n, strands) [m]: rest lengths of the servos, or the middles of the ranges."""
-        arm = require_arm(self.robot, "strands that are limits or servos")
+        arm = require_arm(self.robot, "jitter")
         verb: Callable[..., jax.Array] = held_strand_lengths if self.cables == "limits" else strand_commands
         periods, count, cables = self.cable_lengths.shape
         return row_by_row(verb, arm, self.cable_lengths.reshape(-1, cables)).reshape(periods, count, -1)
