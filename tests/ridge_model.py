@@ -35,7 +35,7 @@ class RidgePose:
     slopes: Any
 
     def __call__(self, lengths):
-        answer = with_one(model_inputs(self.robot, "corrected", lengths)) @ self.slopes
+        answer = (with_one(model_inputs(self.robot, "corrected", lengths)) @ self.slopes).astype(lengths.dtype)
         return model_pose(self.robot, "corrected", lengths, answer)
 
 

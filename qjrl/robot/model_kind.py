@@ -38,7 +38,8 @@ class ModelKind:
     """(robot, config, rows to fit and rows held out, all settled, seed, directory) -> fitted model, and what
     `metrics.json` says of it. What it writes to the directory is its own; an interrupted fit may go on from it."""
     on_robot: Callable[[Robot, Any], PoseFunction]
-    """(robot, fitted model) -> the pytree that is called, both its children."""
+    """(robot, fitted model) -> the pytree that is called with lengths and answers a pose in their precision; robot and fitted
+    numbers are its leaves, and what is static in it says no more than the structure: models that agree in it share programs."""
     to_arrays: Callable[[Any], Mapping[str, Any]]
     """Fitted model -> its numbers by name, in nested mappings of arrays: what the .npz holds."""
     from_arrays: Callable[[Any, Mapping[str, Any]], Any]
