@@ -4,6 +4,7 @@ import copy
 import json
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
@@ -15,8 +16,10 @@ from qjrl import artifacts, pipeline
 from qjrl.artifacts import ArtifactError
 from qjrl.cli import defaults
 from qjrl.config import ConfigError, as_mapping, conf_folder, identity_of, read_yaml
+from qjrl.deployment.functions import forward_function
 from qjrl.learning.fitting import FitConfig
 from qjrl.learning.networks import NetworkConfig
+from qjrl.robot import robot_hash
 from qjrl.robot.forward_model import (
     ForwardModelConfig,
     load_forward_model,
@@ -133,8 +136,8 @@ def test_least_squares_inverts_it(fitted):
 
 
 def test_the_stages_fit_it_and_invert_it(tmp_path, fitted):
-    artifacts.append_shard(tmp_path / "dataset", settled_rows(), artifacts_hash())
-    artifacts.mark_done(tmp_path / "dataset", robot_hash=artifacts_hash())
+    artifacts.append_shard(tmp_path / "dataset", settled_rows(), robot_hash(ARM))
+    artifacts.mark_done(tmp_path / "dataset", robot_hash=robot_hash(ARM))
     few = {"least_squares": {"num_candidates": 128, "batch_size": 16}, "num_held_out": 2, "num_bank": 2}
     groups = {"ik": few, "simulation": {"batch_size": 32}}
     configs = configs_of(["forward_model", "ik"], forward_model={"kind": "ridge"}, **groups)
@@ -149,10 +152,10 @@ def test_the_stages_fit_it_and_invert_it(tmp_path, fitted):
     np.testing.assert_allclose(np.linalg.norm(errors[:, :3], axis=1), answers["predicted_position_error"], atol=1e-9)
 
 
-def artifacts_hash() -> str:
-    from qjrl.robot import robot_hash
-
-    return robot_hash(ARM)
+def test_its_exported_function_is_in_the_precision_of_the_export(fitted):
+    deployed = forward_function(ARM, fitted[0], "float32")
+    lengths = jnp.zeros(ARM.num_cables, jnp.float32)
+    assert deployed.function(lengths)["pose"].dtype == jnp.float32
 
 
 def test_the_command_prints_the_settings_of_the_kind_that_is_asked_for():
