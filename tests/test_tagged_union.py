@@ -11,7 +11,6 @@ from qjrl.config import ConfigError, OneOf, Range, as_mapping, configuration
 from qjrl.config import build as typed_build
 from qjrl.tagged_union import tags_of
 
-
 build: Any = typed_build  # a union is no type to the type checker
 
 

@@ -116,7 +116,8 @@ def test_a_file_that_names_no_kind_holds_a_network_and_one_of_an_unknown_kind_is
     artifacts.write_json(tmp_path / "model.json", older)
     back = load_forward_model(tmp_path / "model", ARM)
     assert back.config == SMALL
-    np.testing.assert_array_equal(*(model_poses(pose_function(ARM, one), lengths) for one in (back, model)))
+    poses = [model_poses(pose_function(ARM, one), lengths) for one in (back, model)]
+    np.testing.assert_array_equal(poses[0], poses[1])
     description["config"]["kind"] = "octopus"
     artifacts.write_json(tmp_path / "model.json", description)
     with pytest.raises(

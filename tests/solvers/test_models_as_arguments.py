@@ -45,9 +45,9 @@ def compilations() -> Iterator[list[str]]:
     """What is compiled meanwhile."""
     found: list[str] = []
 
-    def listen(event: str, seconds: float, **about) -> None:
+    def listen(event: str, duration_secs: float, **kwargs: str | int) -> None:
         if event == COMPILED:
-            found.append(str(about))
+            found.append(str(kwargs))
 
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
