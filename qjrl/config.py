@@ -3,8 +3,8 @@
 The dataclass beside the code holds meaning, unit, range, default of every field and where the default comes from; the YAML
 files of `conf/` hold what a choice or an experiment has otherwise, see `shipped`.
 Field types: int, float, str, bool, Path, dict (left as it is), Literal, tuple, nested dataclasses, ``X | None``,
-and ``Annotated[T, Range(...)]`` for bounds. A class made by `configuration` holds its values against them wherever it is
-made: from YAML, from the command, in Python.
+``Annotated[T, Range(...)]`` for bounds, and unions of dataclasses, see `tagged_union`. A class made by `configuration` holds
+its values against them wherever it is made: from YAML, from the command, in Python.
 """
 
 import dataclasses
@@ -14,10 +14,12 @@ import sys
 import types
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn, Union, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, NoReturn, Union, dataclass_transform, get_args, get_origin
 
 from qjrl import machine, plain_yaml
-from qjrl.field_words import Range, describe, known_names, show
+from qjrl.field_words import OneOf as OneOf
+from qjrl.field_words import Range, describe, kinds_of, known_names, plain_kind, show
+from qjrl.tagged_union import Tags, tags_of
 from qjrl.text_file import NotUTF8, read_text
 
 
@@ -34,7 +36,7 @@ def configuration[T](cls: type[T]) -> type[T]:
     check = cls.__dict__.get("__post_init__", lambda self: None)
 
     def hold_values(self: Any) -> None:
-        kinds = _kinds(type(self))  # a subclass has more fields
+        kinds = kinds_of(type(self))  # a subclass has more fields
         for field in dataclasses.fields(self):
             value = _convert(getattr(self, field.name), kinds[field.name], f"{cls.__name__}.{field.name}")
             object.__setattr__(self, field.name, value)
@@ -48,14 +50,17 @@ def build[T](cls: type[T], mapping: Any, where: str = "") -> T:
     """Builds the (frozen) dataclass `cls` from a plain mapping.
 
     Args:
+        cls: or a union of such classes, see above.
         mapping: field name -> plain value, as YAML gives it; nested mappings for nested dataclasses.
         where: dotted key of `mapping` in the whole configuration, for the error line.
     Raises:
         ConfigError: unknown or missing key, wrong type, value out of range, or a ValueError of `__post_init__`.
     """
+    if not (dataclasses.is_dataclass(cls) and isinstance(cls, type)):
+        return _convert(mapping, cls, where)
     if not isinstance(mapping, Mapping):
         _refuse(where, mapping, describe(cls))
-    kinds = _kinds(cls)
+    kinds = kinds_of(cls)
     fields = {field.name: field for field in dataclasses.fields(cls) if field.init}  # pyright: ignore[reportArgumentType]
     for key in mapping:
         if key not in fields:
@@ -104,15 +109,9 @@ def _plain(value: Any, is_left_out: Callable[[Any, list[NotIdentity]], bool]) ->
 
 
 @functools.cache
-def _kinds(cls: type) -> dict[str, Any]:
-    """Field name -> its type, bounds included."""
-    return get_type_hints(cls, include_extras=True)
-
-
-@functools.cache
 def _marks(cls: type) -> dict[str, list[NotIdentity]]:
     """Field name -> its marks."""
-    kinds = _kinds(cls)
+    kinds = kinds_of(cls)
     return {name: [mark for mark in get_args(kind) if isinstance(mark, NotIdentity)] for name, kind in kinds.items()}
 
 
@@ -201,6 +200,7 @@ def _convert(value: Any, kind: Any, where: str) -> Any:
     value = (
         value.tolist() if hasattr(value, "tolist") else value
     )  # of NumPy and JAX: the plain number, or lists of them
+    kind = plain_kind(kind)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
         return _bounded(value, kind, where)
@@ -241,8 +241,13 @@ def _bounded(value: Any, kind: Any, where: str) -> Any:
 
 
 def _one_of(value: Any, kind: Any, where: str) -> Any:
-    """The first option of a union that takes the value; the error of the only structured option, if there is one."""
+    """The class that a mapping names, or the first option that takes the value; the error of the only structured option."""
     options = get_args(kind)
+    for option in options:
+        if dataclasses.is_dataclass(option) and isinstance(option, type) and isinstance(value, option):
+            return _convert(value, option, where)
+    if isinstance(value, Mapping) and (tags := tags_of(kind)):
+        return build(_named_class(tags, value, where), value, where)
     structured = [option for option in options if get_origin(option) is tuple or dataclasses.is_dataclass(option)]
     for option in options:
         try:
@@ -251,6 +256,22 @@ def _one_of(value: Any, kind: Any, where: str) -> Any:
             if [option] == structured and isinstance(value, (Mapping, list, tuple)):
                 raise
     _refuse(where, value, describe(kind))
+
+
+def _named_class(tags: Tags, value: Mapping[str, Any], where: str) -> type:
+    """The class of a union that a mapping means; refuses a key that only another class has with that one's name."""
+    named = _join(where, tags.name)
+    if tags.name in value:
+        chosen = tags.classes[_convert(value[tags.name], Literal[tuple(tags.classes)], named)]
+    elif (chosen := tags.default) is None:
+        raise ConfigError(f"{named}: missing, allowed: {describe(Literal[tuple(tags.classes)])}")
+    for key in value:
+        having = [str(tag) for tag, cls in tags.classes.items() if key in kinds_of(cls)]
+        if having and key not in kinds_of(chosen):
+            raise ConfigError(
+                f"{_join(where, key)}: got {show(value[key])}, allowed with {tags.name}={' or '.join(having)}"
+            )
+    return chosen
 
 
 def _tuple(value: Any, kind: Any, where: str) -> tuple[Any, ...]:

@@ -2,11 +2,12 @@
 
 import dataclasses
 import difflib
+import functools
 import math
 import types
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,6 +31,23 @@ class Range:
         return " and ".join(f"{word} {bound:.12g}" for word, bound in bounds if math.isfinite(bound))
 
 
+@dataclasses.dataclass(frozen=True)
+class OneOf:
+    """Marks a field that holds one of several configuration classes, told apart by a Literal field that all of them have:
+    ``Annotated[Any, OneOf(lambda: [Circle, Line])]``. Asked whenever a value is read: a registry may grow."""
+
+    classes: Callable[[], Iterable[type]]
+
+
+def plain_kind(kind: Any) -> Any:
+    """A field type, the classes of a `OneOf` as the union that they are now."""
+    if get_origin(kind) in (Union, types.UnionType):
+        return Union[tuple(map(plain_kind, get_args(kind)))]  # noqa: UP007
+    marks = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
+    unions = [Union[tuple(mark.classes())] for mark in marks if isinstance(mark, OneOf)]  # noqa: UP007
+    return unions[0] if unions else kind
+
+
 def known_names(name: str, known: Collection[Any]) -> str:
     """``did you mean 'sample'? known: compare, ik, sample``."""
     names = [str(item) for item in known]
@@ -37,8 +55,15 @@ def known_names(name: str, known: Collection[Any]) -> str:
     return (f"did you mean '{close[0]}'? " if close else "") + f"known: {', '.join(names) or 'none'}"
 
 
+@functools.cache
+def kinds_of(cls: type) -> dict[str, Any]:
+    """Field name -> its type, bounds included."""
+    return get_type_hints(cls, include_extras=True)
+
+
 def describe(kind: Any) -> str:
     """What a field type allows, in words: ``a number from 0 to 1 or null``."""
+    kind = plain_kind(kind)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Annotated:
         bounds = [str(bound) for bound in arguments[1:] if isinstance(bound, Range)]

@@ -280,7 +280,8 @@ def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -
 
 
 def kind_of(group: str) -> Any:
-    """The class of the settings of a group, whose defaults are what is run when nothing is said; imports a stage."""
+    """The class of the settings of a group, or the union of several; built of nothing it is what is run when nothing is said.
+    Imports a stage."""
     return next(field.type for field in dataclasses.fields(STAGES[GROUPS[group]].load().Config) if field.name == group)
 
 

@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 
 from qjrl import pipeline
 from qjrl.cli import defaults
-from qjrl.config import as_mapping, conf_folder, read_yaml, shipped
+from qjrl.config import as_mapping, build, conf_folder, read_yaml, shipped
 
 GROUPS = sorted(path.name for path in conf_folder().iterdir() if path.is_dir() and path.name != "experiment")
 EXPERIMENTS = sorted(path.stem for path in (conf_folder() / "experiment").glob("*.yaml"))
@@ -76,7 +76,7 @@ def test_what_is_printed_is_every_value_that_there_is(choice) -> None:
 def test_the_defaults_in_python_are_what_the_command_runs() -> None:
     tree = tree_of()
     for group in pipeline.GROUPS:
-        assert as_mapping(pipeline.kind_of(group)()) == tree[group], group
+        assert as_mapping(build(pipeline.kind_of(group), {})) == tree[group], group
     for key, value in as_mapping(pipeline.RunConfig()).items():
         assert value == tree[key]
     assert tree.keys() == {*pipeline.GROUPS, pipeline.ROBOT, *as_mapping(pipeline.RunConfig())}

@@ -198,7 +198,7 @@ CASES: dict[str, Case] = {
 
 
 def made_up_model(robot: Robot) -> PoseFunction:
-    """The default forward model with random parameters, near the closed form; every call makes a new function to compile."""
+    """The default forward model with random parameters, near the closed form."""
     config = ForwardModelConfig()
     config = dataclasses.replace(config, network=dataclasses.replace(config.network, zero_output=False))
     parameters = make_network(robot, config).init(jax.random.key(0), jnp.zeros((1, robot.num_cables)))["params"]

@@ -27,11 +27,11 @@ def launch(arguments: list[str]) -> int:
     overrides, options = words.sorted_out(arguments, pipeline.STAGES)
     is_sweep = bool({"-m", "--multirun"} & set(options))
     names.register()
-    defaults.register_for(overrides, options)
     overrides, files = with_robot_files(overrides)
     plain = checked(overrides, is_sweep, words.TEXTS)
     typed = {words.for_hydra(one): override for one, override in zip(plain, overrides, strict=True)}
     overrides = list(map(words.for_hydra, plain))
+    defaults.register_for(overrides, options)
     outcomes: list[str] = []
     planned = None
     try:
@@ -109,8 +109,9 @@ def _resolved(cfg: Any, overrides: list[str]) -> tuple[dict[str, Any], Exception
     from omegaconf import OmegaConf
 
     try:
-        if "${" in str(OmegaConf.to_container(cfg, resolve=False)):  # what it refers to may be a default
-            cfg = OmegaConf.merge(defaults.of_groups(), cfg)
+        said: Any = OmegaConf.to_container(cfg, resolve=False)
+        if "${" in str(said):  # what it refers to may be a default
+            cfg = OmegaConf.merge(defaults.of_groups(said), cfg)
         tree: Any = OmegaConf.to_container(cfg, resolve=True)
     except Exception as error:
         return {}, hydra_errors.in_our_words(error, overrides) or error

@@ -3,7 +3,7 @@
 import numpy as np
 
 from qjrl.control.inversion import IKConfig, solve_model, solve_nominal
-from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.solvers import FabrikConfig, SolveResult, solve_fabrik
 

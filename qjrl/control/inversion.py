@@ -10,8 +10,8 @@ from qjrl.config import Range, configuration
 from qjrl.control.targets import TARGET_SETS, TargetConfig, draw_configurations, target_poses
 from qjrl.geometry.pose import row_errors
 from qjrl.robot import cable_lengths
-from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.kinds import kind_of
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig

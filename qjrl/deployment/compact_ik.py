@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from qjrl.config import Range, configuration
 from qjrl.deployment.functions import Outputs, SolveFunction
 from qjrl.geometry.pose import orientation_error, position_error
-from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot, forward_kinematics
 from qjrl.solvers.levenberg_marquardt import Descent, DescentConfig, descend
 from qjrl.solvers.model_tip import lengths_of, tip_function

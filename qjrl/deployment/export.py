@@ -36,8 +36,11 @@ from qjrl.deployment.parity import (
 from qjrl.keys import seed_for
 from qjrl.provenance import read_provenance
 from qjrl.robot import in_precision
-from qjrl.robot.forward_model import ForwardModel, pose_function
-from qjrl.robot.model_fitting import pose_errors, settled_split
+from qjrl.robot.forward_model import pose_function
+from qjrl.robot.model_errors import pose_errors
+from qjrl.robot.model_fitting import settled_split
+from qjrl.robot.model_kind import FittedModel
+from qjrl.robot.network_model import NetworkModel
 from qjrl.robot.verbs import Robot
 
 log = logging.getLogger(__name__)
@@ -82,7 +85,7 @@ def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any)
     """The settled rows that the fit in `forward_model` never saw.
 
     Args:
-        config: the `ForwardModelConfig` of the fit.
+        config: of the fit.
     Raises:
         ArtifactError: the data set is not the one that was fitted, or as `settled_rows`.
     """
@@ -97,7 +100,7 @@ def held_out_rows(robot: Robot, dataset: Path, forward_model: Path, config: Any)
 
 def export_controller(
     robot: Robot,
-    model: ForwardModel,
+    model: FittedModel,
     config: ExportConfig,
     held_out: Mapping[str, np.ndarray],
     seed: int,
@@ -157,14 +160,17 @@ def contract_of(export: Export, robot: Robot, precision: Precision, provenance: 
 
 
 def _make_files(
-    robot: Robot, model: ForwardModel, config: ExportConfig, forward: DeployedFunction, inverse: DeployedFunction
+    robot: Robot, model: FittedModel, config: ExportConfig, forward: DeployedFunction, inverse: DeployedFunction
 ) -> dict[str, bytes]:
     files = {
         FORWARD_FILE: stablehlo.serialise(forward, config.precision, config.platforms),
         INVERSE_FILE: stablehlo.serialise(inverse, config.precision, config.platforms),
     }
-    if _makes_onnx(config):
-        files[ONNX_FILE] = onnx_model.onnx_bytes(robot, model, forward, config.precision)
+    if isinstance(model, NetworkModel):
+        if _makes_onnx(config):
+            files[ONNX_FILE] = onnx_model.onnx_bytes(robot, model, forward, config.precision)
+    elif config.onnx:
+        log.warning("export: no ONNX file, the model is of the kind %s, allowed: network", model.config.kind)
     return files
 
 

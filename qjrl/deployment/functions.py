@@ -7,7 +7,8 @@ from typing import Literal
 import jax
 
 from qjrl.robot import in_precision
-from qjrl.robot.forward_model import ForwardModel, pose_function
+from qjrl.robot.forward_model import pose_function
+from qjrl.robot.model_kind import FittedModel
 from qjrl.robot.verbs import Robot
 
 Precision = Literal["float32", "float64"]
@@ -42,8 +43,8 @@ class DeployedFunction:
     outputs: tuple[Port, ...]
 
 
-def forward_function(robot: Robot, model: ForwardModel, precision: Precision) -> DeployedFunction:
-    """Cable lengths -> pose under a fitted model; the network computes in float32 whatever the precision."""
+def forward_function(robot: Robot, model: FittedModel, precision: Precision) -> DeployedFunction:
+    """Cable lengths -> pose under a fitted model; a network computes in float32 whatever the precision."""
     pose = pose_function(in_precision(robot, precision), model)
     return DeployedFunction(
         "forward_model", lambda lengths: {"pose": pose(lengths)}, (_lengths(robot),), (_pose("pose"),)

@@ -13,7 +13,8 @@ import numpy as np
 from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.learning.fitting import predict
 from qjrl.robot import in_precision
-from qjrl.robot.forward_model import ForwardModel, make_network, model_inputs
+from qjrl.robot.model_coordinates import model_inputs
+from qjrl.robot.network_model import NetworkModel, make_network
 from qjrl.robot.quaternion_arm.arm import require_arm
 from qjrl.robot.quaternion_arm.tip import tip_poses
 from qjrl.robot.verbs import Robot, bends_from_cables
@@ -38,7 +39,7 @@ def versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in PACKAGES}
 
 
-def onnx_bytes(robot: Robot, model: ForwardModel, deployed: DeployedFunction, precision: Precision) -> bytes:
+def onnx_bytes(robot: Robot, model: NetworkModel, deployed: DeployedFunction, precision: Precision) -> bytes:
     """The ONNX file of a forward model: (batch, num_cables) [m] -> (batch, 9)."""
     import jax2onnx
 
@@ -65,8 +66,8 @@ def load(content: bytes) -> Callable[[Any], dict[str, np.ndarray]]:
     return lambda rows: dict(zip(outputs, session.run(outputs, {name: np.asarray(rows)}), strict=True))
 
 
-def _batched_forward_model(robot: Robot, model: ForwardModel) -> Callable[[jax.Array], jax.Array]:
-    """`pose_function` over a batch, without what jax2onnx cannot translate: a vmapped dense layer, a scan over joints."""
+def _batched_forward_model(robot: Robot, model: NetworkModel) -> Callable[[jax.Array], jax.Array]:
+    """`NetworkPose` over a batch, without what jax2onnx cannot translate: a vmapped dense layer, a scan over joints."""
     arm, form, network = (
         require_arm(robot, "the forward model in ONNX"),
         model.config.form,

@@ -14,8 +14,8 @@ import numpy as np
 
 from qjrl.config import Range, configuration
 from qjrl.geometry.pose import row_errors
-from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.pose_model import PoseFunction, model_poses
 from qjrl.robot.verbs import Robot, bends_from_cables, cable_lengths
 
 LoadedFunction = Callable[..., Mapping[str, Any]]
@@ -48,7 +48,7 @@ class Reference:
     """Where a file is asked, and what the live model says there. All sets of rows together: each size is compiled anew."""
 
     robot: Robot
-    live: Callable[[Any], jax.Array]
+    live: Callable[[Any], np.ndarray]
     """The live model in float64 over a batch, compiled."""
     sets: dict[str, slice]
     """Which rows belong to which set."""
@@ -80,8 +80,8 @@ def make_reference(
     draw = jax.jit(jax.vmap(lambda row: cable_lengths(robot, kind_of(robot).from_unit_cube(robot, row))))
     measured = held_out["pose"][: config.num_held_out]
     lengths = np.concatenate([draw(jnp.asarray(numbers)), held_out["cable_lengths"][: config.num_held_out]])
-    live = jax.jit(jax.vmap(pose))
-    poses = np.asarray(live(lengths))
+    live = functools.partial(model_poses, pose)
+    poses = live(lengths)
     sets = {"random": slice(0, config.num_random), "held_out": slice(config.num_random, len(lengths))}
     targets = np.concatenate([poses[sets["random"]], measured])
     return Reference(robot, live, sets, lengths, poses, targets, precision, config)

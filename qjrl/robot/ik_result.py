@@ -9,9 +9,9 @@ import numpy as np
 from flax import struct
 
 from qjrl.geometry.pose import orientation_error, position_error
-from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.kinds import configuration_shape, kind_of, require_robot
 from qjrl.robot.plausibility import FARTHEST_TARGET, check_positions, real_numbers
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot, configuration_from_cables, is_within_limits, strand_tension
 
 

@@ -17,7 +17,8 @@ from scipy.stats import chi
 
 from qjrl.geometry.pose import orientation_error, position_error, row_errors
 from qjrl.learning.fitting import predict_members
-from qjrl.robot.forward_model import ForwardModel, make_network, model_inputs, model_pose, pose_function
+from qjrl.robot.model_coordinates import model_inputs, model_pose
+from qjrl.robot.network_model import NetworkModel, NetworkPose, on_robot
 from qjrl.robot.verbs import Robot
 
 QUANTITIES = ("position", "orientation")
@@ -38,38 +39,47 @@ class PoseEstimate:
     """() [rad]."""
 
 
-def pose_and_sigma(robot: Robot, model: ForwardModel) -> Callable[[jax.Array], PoseEstimate]:
-    """The plain function lengths (num_cables,) [m] -> pose with its uncertainty, calibrated as far as the model is.
+@struct.dataclass(eq=False)
+class EstimatedPose:
+    """An ensemble on its robot that says how sure it is; a pytree that is called, as its mean is."""
+
+    mean: NetworkPose
+    factors: Any
+    """(2,) of position and orientation."""
+
+    def __call__(self, lengths: jax.Array) -> PoseEstimate:
+        """Pose (9,) at cable lengths (num_cables,) [m], with its uncertainty."""
+        robot, form = self.mean.robot, self.mean.form
+        answers = predict_members(self.mean.network, self.mean.fitted, model_inputs(robot, form, lengths))
+        poses = jax.vmap(lambda answer: model_pose(robot, form, lengths, answer))(answers)
+        pose = self.mean(lengths)
+        position, orientation = (_spread(error, poses, pose) for error in (position_error, orientation_error))
+        return PoseEstimate(pose, self.factors[0] * position, self.factors[1] * orientation)
+
+
+def pose_and_sigma(robot: Robot, model: NetworkModel) -> EstimatedPose:
+    """What is called with lengths (num_cables,) [m] and answers a pose with its uncertainty, calibrated as far as the model is.
 
     Raises:
         ValueError: the model is a single network.
     """
     if model.config.ensemble == 1:
         raise ValueError("ensemble: got 1, allowed: 2 or more for an uncertainty")
-    form, network, mean_pose = model.config.form, make_network(robot, model.config), pose_function(robot, model)
     factors = jnp.ones(2) if model.sigma_factors is None else jnp.asarray(model.sigma_factors)
-
-    def estimate(lengths: jax.Array) -> PoseEstimate:
-        answers = predict_members(network, model.fitted, model_inputs(robot, form, lengths))
-        poses = jax.vmap(lambda answer: model_pose(robot, form, lengths, answer))(answers)
-        pose = mean_pose(lengths)
-        position, orientation = (_spread(error, poses, pose) for error in (position_error, orientation_error))
-        return PoseEstimate(pose, factors[0] * position, factors[1] * orientation)
-
-    return estimate
+    return EstimatedPose(on_robot(robot, model), factors)
 
 
 def calibrate(
-    robot: Robot, model: ForwardModel, data: Mapping[str, np.ndarray]
-) -> tuple[ForwardModel, dict[str, Any], dict[str, np.ndarray]]:
+    robot: Robot, model: NetworkModel, data: Mapping[str, np.ndarray]
+) -> tuple[NetworkModel, dict[str, Any], dict[str, np.ndarray]]:
     """Fit the factors to every second row of a data set that no fit has seen, and report on the others.
 
     Returns:
         The model with its factors; by quantity the factor, the measured coverage [%] of the 90 % intervals and the
         coverage curve; and position and orientation errors and sigmas (n,) [m], [rad] of the rows reported on.
     """
-    function = jax.jit(jax.vmap(pose_and_sigma(robot, dataclasses.replace(model, sigma_factors=None))))
-    estimate = function(jnp.asarray(data["cable_lengths"]))
+    plain = pose_and_sigma(robot, dataclasses.replace(model, sigma_factors=None))
+    estimate = _estimates(plain, jnp.asarray(data["cable_lengths"]))
     factors, report, evaluated = [], {}, {}
     for quantity, error in zip(QUANTITIES, row_errors(estimate.pose, data["pose"]), strict=True):
         sigma = np.asarray(getattr(estimate, f"{quantity}_sigma"))
@@ -78,6 +88,11 @@ def calibrate(
         report[quantity] = {"factor": factor} | _coverages(factor * sigma[1::2], error[1::2])
         factors.append(factor)
     return dataclasses.replace(model, sigma_factors=jnp.asarray(factors)), report, evaluated
+
+
+@jax.jit
+def _estimates(model: EstimatedPose, lengths: jax.Array) -> PoseEstimate:
+    return jax.vmap(model)(lengths)
 
 
 def _coverages(sigma: np.ndarray, error: np.ndarray) -> dict[str, Any]:

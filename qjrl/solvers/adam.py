@@ -1,8 +1,6 @@
 """Inverse kinematics by gradient descent with Adam and random restarts (paper 000, section 4)."""
 
-import dataclasses
 import functools
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import jax
@@ -12,9 +10,9 @@ import optax
 from flax import struct
 
 from qjrl.config import Range, configuration
-from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.ik_result import SolveResult, check_targets, describe_solution
 from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.pose_model import PoseFunction, as_model, or_closed_form
 from qjrl.robot.verbs import Robot, cable_lengths, cable_strokes, configuration_from_cables, within_limits
 
 
@@ -61,28 +59,29 @@ def solve_adam(
     Args:
         robot: the arm.
         targets: (n, 9) poses [m, -].
-        model: lengths (num_cables,) [m] -> pose (9,); default: the nominal closed form.
+        model: lengths (num_cables,) [m] -> pose (9,), as in `solve_least_squares`; default: the nominal closed form.
         config: steps, restarts, weights, tolerances.
         seed: of the candidates for the starts, which all targets share.
         advance: called with the number of newly solved targets.
     Raises:
-        ValueError: targets of the wrong shape, non-finite, or no rotations.
+        ValueError: targets of the wrong shape, non-finite, or no rotations; a model that cannot be called.
     """
-    checked, compiled = check_targets(robot, targets), _compile(model, config)
-    candidates = compiled.candidates(robot, jax.random.key(seed))
+    checked, model = check_targets(robot, targets), as_model(model)
+    candidates = _candidates(config, model, robot, jax.random.key(seed))
 
     lengths, steps = np.zeros((len(checked), robot.num_cables)), np.zeros(len(checked), int)
-    result = compiled.evaluate(robot, checked, lengths, steps)
+    result = _evaluate(config, model, robot, checked, lengths, steps)
     for attempt in range(config.num_retries + 1):
         pending = np.flatnonzero(~np.asarray(result.converged))
         for start in range(0, len(pending), config.batch_size):
             rows = pending[start : start + config.batch_size]
             padded = np.resize(rows, config.batch_size)  # repeats rows: one compilation whatever their number
-            lengths[rows] = np.asarray(compiled.solve(robot, checked[padded], candidates, attempt))[: len(rows)]
+            ends = _solve_rows(config, model, robot, checked[padded], candidates, attempt)
+            lengths[rows] = np.asarray(ends)[: len(rows)]
             steps[rows] += config.iterations * config.num_restarts
             if advance and attempt == 0:
                 advance(len(rows))
-        result = _better(config, result, compiled.evaluate(robot, checked, lengths, steps))
+        result = _better(config, result, _evaluate(config, model, robot, checked, lengths, steps))
         lengths = np.array(result.cable_lengths)
     return result
 
@@ -108,37 +107,26 @@ class _Candidates:
     poses: jax.Array
 
 
-@dataclasses.dataclass(frozen=True)
-class _Compiled:
-    """The compiled functions of a solve; the robot is an argument of each."""
-
-    candidates: Callable[..., _Candidates]
-    solve: Callable[..., jax.Array]
-    evaluate: Callable[..., SolveResult]
-
-
-@functools.lru_cache(maxsize=4)
-def _compile(model: PoseFunction | None, config: AdamConfig) -> _Compiled:
-    """Once for all target sets that are solved on the same model."""
-    tolerances = (config.position_tolerance, config.orientation_tolerance)
-
-    def candidates(robot: Robot, key: jax.Array) -> _Candidates:
-        return _candidates(robot, model or pose_function(robot, None), config, key)
-
-    def solve(robot: Robot, target: jax.Array, candidates: _Candidates, attempt: jax.Array) -> jax.Array:
-        return _solve_one(robot, model or pose_function(robot, None), config, target, candidates, attempt)
-
-    def evaluate(robot: Robot, targets: jax.Array, lengths: jax.Array, steps: jax.Array) -> SolveResult:
-        return describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
-
-    return _Compiled(jax.jit(candidates), jax.jit(jax.vmap(solve, (None, 0, None, None))), jax.jit(evaluate))
-
-
-def _candidates(robot: Robot, model: PoseFunction, config: AdamConfig, key: jax.Array) -> _Candidates:
+@functools.partial(jax.jit, static_argnums=0)
+def _candidates(config: AdamConfig, model: PoseFunction | None, robot: Robot, key: jax.Array) -> _Candidates:
     count = max(config.num_candidates, config.num_restarts * (config.num_retries + 1))
     numbers = jax.random.uniform(key, (count, num_coordinates(robot)))
     lengths = jax.vmap(lambda row: cable_lengths(robot, kind_of(robot).from_unit_cube(robot, row)))(numbers)
-    return _Candidates(lengths, jax.vmap(model)(lengths))
+    return _Candidates(lengths, jax.vmap(or_closed_form(robot, model))(lengths))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _solve_rows(
+    config: AdamConfig, model: PoseFunction | None, robot: Robot, targets, candidates: _Candidates, attempt
+) -> jax.Array:
+    pose_of = or_closed_form(robot, model)
+    return jax.vmap(lambda target: _solve_one(robot, pose_of, config, target, candidates, attempt))(targets)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _evaluate(config: AdamConfig, model: PoseFunction | None, robot: Robot, targets, lengths, steps) -> SolveResult:
+    tolerances = (config.position_tolerance, config.orientation_tolerance)
+    return describe_solution(robot, or_closed_form(robot, model), targets, lengths, tolerances, steps)
 
 
 def _solve_one(

@@ -11,7 +11,6 @@ from flax import struct
 
 from qjrl.config import Range, configuration
 from qjrl.robot.batching import in_batches
-from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.ik_result import (
     SolveResult,
     Status,
@@ -21,10 +20,11 @@ from qjrl.robot.ik_result import (
     least_tension,
 )
 from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.pose_model import PoseFunction, as_model, or_closed_form
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.candidates import Candidates, nearest_candidates, random_candidates
 from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
-from qjrl.solvers.model_tip import TipFunction, exact_tip_function, lengths_of, tip_function
+from qjrl.solvers.model_tip import exact_tip_function, lengths_of, tip_function
 from qjrl.xla_options import jit_of_chains
 
 
@@ -92,12 +92,14 @@ def solve_least_squares(
             neighbour's; default: the nearest candidate, or for a model the closed form's answer.
         config: rounds of starts, tolerances.
         candidates: from `draw_candidates`, to be drawn once where many calls follow; default: drawn here.
-        model: lengths (num_cables,) [m] -> pose (9,), near the nominal closed form, which is the default. Keep one
-            function object for many calls: each new one is compiled.
+        model: lengths (num_cables,) [m] -> pose (9,), near the nominal closed form, which is the default. A pytree that is
+            called, as `pose_function` gives it: all of the same structure share what is compiled. A plain function is taken
+            too; keep one for many calls, since each new one is compiled.
     Raises:
-        ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape.
+        ValueError: targets of the wrong shape, non-finite, or no rotations; initial bends of another shape; a model that
+            cannot be called.
     """
-    checked = check_targets(robot, targets)
+    checked, model = check_targets(robot, targets), as_model(model)
     candidates = candidates or draw_candidates(robot, config)
     if model is not None and initial_bends is None:
         initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends
@@ -184,23 +186,19 @@ def _descend(
 ) -> _Ends:
     """The ends (rows, starts) of all descents of a round; `is_exact`: along the model's own Jacobian."""
     shape = starts.shape[:2]
-    tip = _tip_function(model, is_exact and model is not None)
     descent = config.descent if model is None else dataclasses.replace(config.descent, damping=config.model_damping)
     compiled = _descend_closed_form if model is None else _descend_on_model
-    function = functools.partial(compiled, descent, tip, robot, np.int32(iterations))
+    function = functools.partial(compiled, descent, is_exact and model is not None, model, robot, np.int32(iterations))
     ends = in_batches(
         function, config.batch_size, starts.reshape(-1, *starts.shape[2:]), np.repeat(targets, shape[1], axis=0)
     )
     return jax.tree.map(lambda value: value.reshape(*shape, *value.shape[1:]), ends)
 
 
-@functools.lru_cache(maxsize=16)
-def _tip_function(model: PoseFunction | None, is_exact: bool) -> TipFunction:
-    """One function object a model: compiled once."""
-    return exact_tip_function(model) if is_exact else tip_function(model)
-
-
-def _descend_rows(config: DescentConfig, tip: TipFunction, robot: Robot, iterations, starts, targets) -> _Ends:
+def _descend_rows(
+    config: DescentConfig, is_exact: bool, model: PoseFunction | None, robot: Robot, iterations, starts, targets
+) -> _Ends:
+    tip = exact_tip_function(model) if is_exact else tip_function(model)
     state = descend(robot, config, jnp.moveaxis(starts, 0, -1), targets.T, iterations, tip)
     status = jnp.where(state.has_stalled, int(Status.STALLED), int(Status.ITERATION_LIMIT))
     status = jnp.where(is_nearest(robot, config, state), int(Status.NEAREST), status)
@@ -275,12 +273,12 @@ def _evaluate(
     return jax.tree.map(jnp.asarray, result)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
+@functools.partial(jax.jit, static_argnums=0)
 def _evaluate_rows(
     config: DescentConfig, model: PoseFunction | None, robot: Robot, targets, coordinates, steps, ended
 ) -> SolveResult:
     lengths = jax.vmap(lambda rows: lengths_of(robot, rows))(coordinates)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
-    result = describe_solution(robot, model or pose_function(robot, None), targets, lengths, tolerances, steps)
+    result = describe_solution(robot, or_closed_form(robot, model), targets, lengths, tolerances, steps)
     is_open = (result.status == Status.ITERATION_LIMIT) & (ended != Status.CONVERGED)
     return dataclasses.replace(result, status=jnp.where(is_open, ended, result.status))

@@ -12,8 +12,8 @@ import jax
 from jaxtyping import Array, Float
 
 from qjrl.geometry.pose import rotation_of
-from qjrl.robot.forward_model import PoseFunction
 from qjrl.robot.kinds import kind_of
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.tip import Tip, tip_by_differentiation
 from qjrl.robot.verbs import Robot, cable_lengths
 

@@ -6,18 +6,19 @@ from pathlib import Path
 from qjrl import artifacts
 from qjrl.report.output import Output
 from qjrl.robot import robot_from_mapping, robot_hash
-from qjrl.robot.forward_model import ForwardModelConfig, save_forward_model
+from qjrl.robot.forward_model import save_forward_model
 from qjrl.robot.model_fitting import fit_forward_model
+from qjrl.robot.model_kinds import ModelConfig
 from qjrl.stage_config import RobotStageConfig
 
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
-    forward_model: ForwardModelConfig
+    forward_model: ModelConfig
 
 
 def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
-    """`metrics.json`; `model.npz` and `.json`, `progress.jsonl` and checkpoints are written by the fit, which goes on from them."""
+    """`metrics.json`, `model.npz` and `.json`; a network's fit writes `progress.jsonl` and checkpoints, and goes on from them."""
     robot = robot_from_mapping(config.robot)
     data = artifacts.load(inputs["sample"], robot_hash(robot))
     model, metrics = fit_forward_model(robot, config.forward_model, data, config.seed, out)

@@ -18,7 +18,7 @@ from qjrl.report.track.report import headline, track_report
 from qjrl.report.track.tracked import Tracked, command_metrics, position_metrics, tracked_metrics, tracking_table
 from qjrl.report.track.viewer import track_viewer
 from qjrl.robot import robot_from_mapping
-from qjrl.robot.forward_model import load_forward_model, pose_function
+from qjrl.robot.forward_model import load_pose_function
 from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.control_period import substeps_of
@@ -47,7 +47,7 @@ def run(config: Config, inputs: dict[str, Path], out: Path) -> Output:
     """`metrics.json`, `trajectory.npz`, figures and `track.html`; the table is shown."""
     del out
     robot, settings = robot_from_mapping(config.robot), config.track
-    model = pose_function(robot, load_forward_model(inputs["forward_model"] / "model", robot))
+    model = load_pose_function(inputs["forward_model"] / "model", robot)
     with progress.compiling("the inverse kinematics of a whole path"):
         plan = make_plan(robot, model, config.simulation, settings, config.seed)
         nominal = nominal_plan(robot, plan, settings, config.seed)

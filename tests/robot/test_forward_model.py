@@ -22,7 +22,10 @@ from qjrl.robot.forward_model import (
     pose_function,
     save_forward_model,
 )
-from qjrl.robot.model_fitting import evaluation, fit_forward_model, model_targets, pose_errors, split_rows
+from qjrl.robot.model_coordinates import model_targets
+from qjrl.robot.model_errors import pose_errors
+from qjrl.robot.model_fitting import fit_forward_model, split_rows
+from qjrl.robot.network_fitting import evaluation
 
 FORMS = ("paper", "corrected_from_lengths", "corrected")
 CORRECTED = ForwardModelConfig(

@@ -5,6 +5,7 @@ import json
 from typing import Any
 
 import pytest
+from ridge_model import registered
 
 from qjrl import artifacts
 from qjrl.artifacts import ArtifactError
@@ -52,6 +53,20 @@ def compared(tmp_path):
 def test_whole_numbers_are_read_and_then_the_targets(compared) -> None:
     with pytest.raises(ArtifactError, match=r"held_out\.npz: does not exist"):
         compared[1]()
+
+
+def test_a_model_that_is_not_fitted_in_epochs_has_no_log_and_no_best_epoch(compared) -> None:
+    folder, run = compared
+    path, measured = folder / "forward_model" / "metrics.json", MEASURED["forward_model"]
+    (folder / "forward_model" / "progress.jsonl").unlink()
+    common = {key: measured[key] for key in ("held_out", "nominal", "rows")}
+    with registered():
+        artifacts.write_json(path, {"kind": "ridge", **common})
+        with pytest.raises(ArtifactError, match=r"held_out\.npz: does not exist"):
+            run()
+        artifacts.write_json(path, {"kind": "network", **common})
+        with pytest.raises(ArtifactError, match=r"measured numbers \(form is missing\)"):
+            run()
 
 
 @pytest.mark.parametrize("stage", MEASURED)

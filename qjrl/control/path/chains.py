@@ -9,8 +9,8 @@ import numpy as np
 from qjrl.control.path.errors import pose_residual
 from qjrl.control.path.paths import Constraint, PosePath
 from qjrl.robot import cable_lengths
-from qjrl.robot.forward_model import pose_function
 from qjrl.robot.kinds import kind_of
+from qjrl.robot.pose_model import ClosedForm
 from qjrl.robot.verbs import Robot, within_limits
 
 
@@ -33,7 +33,7 @@ def chained(robot: Robot, path: PosePath, num_starts: int, seed: int) -> np.ndar
 @functools.partial(jax.jit, static_argnums=0)
 def _run_chains(constraint: Constraint, robot: Robot, starts: jax.Array, targets: jax.Array):
     """Cable lengths (starts, n, cables) of chains of descents from target to target, and their residuals (starts, n) [m]."""
-    nominal, shape = pose_function(robot, None), starts.shape[1:]
+    nominal, shape = ClosedForm(robot), starts.shape[1:]
 
     def residual(flat, target):
         error = pose_residual(constraint, nominal(cable_lengths(robot, flat.reshape(shape))), target)

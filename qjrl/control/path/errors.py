@@ -9,17 +9,6 @@ import numpy as np
 from qjrl.control.path.paths import ROTATION_WEIGHT, Constraint
 from qjrl.geometry.pose import rotation_of
 from qjrl.geometry.rotations import geodesic_angle, safe_norm
-from qjrl.robot.forward_model import PoseFunction
-
-
-def model_poses(pose_of: PoseFunction, lengths) -> np.ndarray:
-    """Poses (n, 9) of a model at cable lengths (n, cables) [m]."""
-    return np.asarray(_model_poses(pose_of, jnp.asarray(lengths)))
-
-
-@functools.partial(jax.jit, static_argnums=0)
-def _model_poses(pose_of: PoseFunction, lengths: jax.Array) -> jax.Array:
-    return jax.vmap(pose_of)(lengths)
 
 
 def path_errors(constraint: Constraint, poses, targets) -> tuple[np.ndarray, np.ndarray]:

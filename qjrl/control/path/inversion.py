@@ -22,11 +22,11 @@ from scipy.sparse import csr_array, diags_array, eye_array, vstack
 
 from qjrl.config import ConfigError, Range, configuration
 from qjrl.control.path.chains import chained
-from qjrl.control.path.errors import model_poses, path_errors, pose_residual
+from qjrl.control.path.errors import path_errors, pose_residual
 from qjrl.control.path.paths import ROTATION_WEIGHT, PosePath
 from qjrl.robot import bends_from_cables
-from qjrl.robot.forward_model import PoseFunction, pose_function
 from qjrl.robot.plausibility import check_positions
+from qjrl.robot.pose_model import ClosedForm, PoseFunction, as_model, model_poses, or_closed_form
 from qjrl.robot.verbs import Robot
 
 
@@ -73,7 +73,7 @@ def invert_path(
         ConfigError: some waypoints cannot be reached; one line that says which, and by how far they are missed.
     """
     check_positions(robot, path.pose[:, :3], path.key, noun="waypoint")
-    pose_of = model or pose_function(robot, None)
+    pose_of = or_closed_form(robot, as_model(model))
     lengths = chained(robot, path, config.num_starts, seed)
     missed = path_errors(path.constraint, model_poses(pose_of, lengths), path.pose)
     if missed[0].max() > _HOPELESS:  # far more than a model differs from the closed form
@@ -123,10 +123,10 @@ def _smoothed(
     return lengths
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+@functools.partial(jax.jit, static_argnums=(1, 2))
 def _waypoint_terms(pose_of: PoseFunction, constraint, config: PathInversionConfig, robot: Robot, lengths, targets):
     """J^T J (n, cables, cables) and J^T r (n, cables) of pose errors and bend limits; J is the closed form's."""
-    nominal = pose_function(robot, None)
+    nominal = ClosedForm(robot)
     soft = config.limit_share * jnp.sin(robot.bend_limit / 2.0)
 
     def rows(pose_of, row, target):

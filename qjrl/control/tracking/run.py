@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.control.path.errors import model_poses, path_errors
+from qjrl.control.path.errors import path_errors
 from qjrl.control.path.inversion import CablePath, invert_path
 from qjrl.control.path.paths import PosePath, make_path
 from qjrl.control.tension_check import TensionCheck, check_tension
 from qjrl.control.tracking.playing import Performance, Played, TrackConfig, TrackingErrors, evaluate, play
 from qjrl.control.tracking.trajectory import CableTrajectory, time_path
-from qjrl.robot.forward_model import PoseFunction, pose_function
+from qjrl.robot.pose_model import PoseFunction, model_poses, or_closed_form
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -67,7 +67,7 @@ def make_plan(
             f"track.path: {rest.message}; rows are {_NUM_RESTS} places even along the path's {path.length:.3g} m"
         )
     moved = trajectory.distances(command_times(trajectory, config.period))
-    poses = model_poses(model or pose_function(robot, None), cables.lengths(moved))
+    poses = model_poses(or_closed_form(robot, model), cables.lengths(moved))
     return Plan(
         path,
         cables,

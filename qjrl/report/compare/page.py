@@ -15,16 +15,16 @@ from qjrl.report.metrics import Verdict
 from qjrl.report.outcomes import Outcome, controller_label
 from qjrl.report.page import Report, Section
 from qjrl.robot import configuration_from_joint_positions
+from qjrl.robot.model_kinds import MODEL_KINDS
 from qjrl.robot.verbs import Robot
 
 _ERRORS: Kinds = dict.fromkeys(("median_mm", "p99_mm", "median_deg"), NUMBER)
 _FITTED: Kinds = {
-    "form": str,
-    "best_epoch": int,
     "held_out": _ERRORS,
     "nominal": _ERRORS,
     "rows": {"held_out": int, "fitted": int},
 }
+_FITTED_IN_EPOCHS: Kinds = {"form": str, "best_epoch": int, **_FITTED}
 _START: Kinds = dict.fromkeys(("uniform_median_mm", "near_home_median_mm"), NUMBER)
 _TRAINED: Kinds = {
     **dict.fromkeys(("kept_env_steps", "env_steps", "invalid_steps"), int),
@@ -54,15 +54,22 @@ def read_measured(inputs: Mapping[str, Path]) -> Measured:
     Raises:
         ArtifactError: a file is missing, damaged, or lacks a number.
     """
+    model, has_log = inputs["forward_model"], _has_log(inputs["forward_model"] / "metrics.json")
     trained = read_metrics(inputs["policy"] / "metrics.json", _TRAINED)
     start = "base" if "base" in trained else "untrained"
     return Measured(
-        read_metrics(inputs["forward_model"] / "metrics.json", _FITTED),
+        read_metrics(model / "metrics.json", _FITTED_IN_EPOCHS if has_log else _FITTED),
         read_metrics(inputs["ik"] / "metrics.json", {"targets_per_second": NUMBER}),
         read_metrics(inputs["policy"] / "metrics.json", {**_TRAINED, start: _START}),
-        read_progress(inputs["forward_model"] / "progress.jsonl", "epoch"),
+        read_progress(model / "progress.jsonl", "epoch") if has_log else [],
         read_progress(inputs["policy"] / "progress.jsonl", "env_steps"),
     )
+
+
+def _has_log(metrics: Path) -> bool:
+    """Whether the model is of a kind that logs its fit; metrics that name no kind are of the default one."""
+    kind = MODEL_KINDS.get(str(read_metrics(metrics, {}).get("kind", next(iter(MODEL_KINDS)))))
+    return kind is not None and kind.has_log
 
 
 @dataclasses.dataclass(frozen=True)

@@ -106,7 +106,7 @@ def forward_model_section(metrics: Metrics, records: Records) -> Section:
 
     Args:
         metrics: `forward_model/metrics.json`.
-        records: `forward_model/progress.jsonl`.
+        records: `forward_model/progress.jsonl`; none of a model that is not fitted in epochs.
     """
     held_out, nominal = metrics["held_out"], metrics["nominal"]
     numbers = (
@@ -117,6 +117,8 @@ def forward_model_section(metrics: Metrics, records: Records) -> Section:
         ),
         Number("rows held out", metrics["rows"]["held_out"], note=f"{metrics['rows']['fitted']:,} fitted"),
     )
+    if not records:
+        return Section("Forward model", f"A model of the kind “{metrics['kind']}”.", numbers)
     errors = learning_curves(
         records, {"median_mm": "median", "p90_mm": "p90", "p99_mm": "p99"}, "epoch", "epoch",
         "held-out position error [mm]", True, {"nominal closed form, median": nominal["median_mm"]},

@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from qjrl.config import Range, configuration
 from qjrl.robot.batching import in_batches
-from qjrl.robot.forward_model import pose_function
 from qjrl.robot.ik_result import SolveResult, Status, check_initial_configurations, check_targets, describe_solution
+from qjrl.robot.pose_model import ClosedForm
 from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.quaternion_arm.fabrik_model import VirtualArm, angle_between, state_of, tip_x_axis, virtual_arm
 from qjrl.robot.quaternion_arm.fabrik_reach import Goal, goal_of, reach, tip_distance
@@ -226,7 +226,7 @@ def _evaluate_rows(config: FabrikConfig, robot: QuaternionArm, targets: jax.Arra
     states = jax.vmap(lambda end, target: _anchored_state(robot, end, target))(ends, targets)
     lengths = jax.vmap(lambda row: cable_lengths(robot, row))(states)
     tolerances = (config.position_tolerance, config.orientation_tolerance)
-    result = describe_solution(robot, pose_function(robot, None), targets, lengths, tolerances, ends.steps)
+    result = describe_solution(robot, ClosedForm(robot), targets, lengths, tolerances, ends.steps)
     has_stalled = (result.status == Status.ITERATION_LIMIT) & ends.has_stalled
     return dataclasses.replace(result, status=jnp.where(has_stalled, int(Status.STALLED), result.status))
 

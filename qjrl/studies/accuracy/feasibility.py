@@ -13,7 +13,7 @@ from qjrl.control.inversion import IKConfig, solve_model
 from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_errors
 from qjrl.geometry.rotations import rotation_y, rotation_z
 from qjrl.robot import forward_kinematics
-from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.pose_model import PoseFunction, model_poses
 from qjrl.robot.verbs import Robot, home
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
@@ -84,7 +84,7 @@ def evaluate_unreachable(
     )
     answer, best = (solve_model(robot, targets, model, one, seed) for one in (ik, thorough))
     rest = settle(robot, np.asarray(answer.cable_lengths), config=simulation)
-    said = np.asarray(jax.jit(jax.vmap(model))(answer.cable_lengths))
+    said = model_poses(model, answer.cable_lengths)
     distance, angle = row_errors(rest.pose, said)
     return {
         "target": targets,

@@ -10,7 +10,7 @@ import numpy as np
 from qjrl.config import Range, configuration
 from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of, row_errors
 from qjrl.geometry.rotations import rotation_x, rotation_y, rotation_z
-from qjrl.robot.forward_model import PoseFunction, pose_function
+from qjrl.robot.pose_model import PoseFunction, as_model, or_closed_form
 from qjrl.robot.verbs import Robot, bends_from_cables
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig
@@ -73,7 +73,7 @@ def measure_and_correct(
         if number == measurements:
             break
         key = jax.random.fold_in(jax.random.key(seed), number)
-        wanted, bends = _wanted(model, noise, robot, key, lengths, rest.pose, targets)
+        wanted, bends = _wanted(as_model(model), noise, robot, key, lengths, rest.pose, targets)
         answer = solve_least_squares(robot, wanted, bends, one_descent, model=model)
         lengths = np.where(rest.converged[:, None], np.asarray(answer.cable_lengths), lengths)
     stacked = np.array(errors)
@@ -96,10 +96,10 @@ def measured_pose(pose: jax.Array, noise: MeasurementNoise, key: jax.Array) -> j
     return pose_from_frame(position_of(pose) + shift, turn @ rotation_of(pose))
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
+@functools.partial(jax.jit, static_argnums=1)
 def _wanted(model: PoseFunction | None, noise: MeasurementNoise, robot: Robot, key, lengths, poses, targets):
     """What to ask the model for, row by row, and the nominal bends to start from."""
-    pose_of = model or pose_function(robot, None)
+    pose_of = or_closed_form(robot, model)
 
     def wanted(key, lengths, pose, target):
         return missing_pose(pose_of(lengths), measured_pose(pose, noise, key), target)

@@ -11,7 +11,7 @@ from qjrl import artifacts
 from qjrl.config import Range, configuration
 from qjrl.control.first_commands import CONTROLLERS, first_commands
 from qjrl.control.inversion import IKConfig
-from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig
 from qjrl.solvers import FabrikConfig, SolveResult

@@ -13,7 +13,8 @@ from qjrl.control.first_commands import CONTROLLERS
 from qjrl.control.inversion import IKConfig
 from qjrl.report.output import Drawn, Output
 from qjrl.robot import robot_from_mapping, robot_hash
-from qjrl.robot.forward_model import PoseFunction, load_pose_function
+from qjrl.robot.forward_model import load_pose_function
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.settled_rows import settled_rows
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.settle_problem import SettleConfig

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from qjrl.config import Range, configuration
-from qjrl.robot.forward_model import ForwardModel, pose_function
+from qjrl.robot.forward_model import pose_function
+from qjrl.robot.model_kind import FittedModel
 from qjrl.robot.verbs import Robot, cable_strokes
 
 
@@ -24,17 +25,17 @@ class LatencyConfig:
     """Calls with the batch."""
 
 
-def measure_latency(robot: Robot, model: ForwardModel | None, config: LatencyConfig) -> dict[str, float]:
+def measure_latency(robot: Robot, model: FittedModel | None, config: LatencyConfig) -> dict[str, float]:
     """Microseconds of a call with one row, its input on the host as a controller has it, and rows a second in a batch."""
     pose = pose_function(robot, model)
     lengths = cable_strokes(robot) * jax.random.uniform(
         jax.random.key(0), (config.batch_size, robot.num_cables), minval=-0.5, maxval=0.5
     )
-    single, batch = jax.jit(pose), jax.jit(jax.vmap(pose))
+    single, batch = jax.jit(lambda model, row: model(row)), jax.jit(lambda model, rows: jax.vmap(model)(rows))
     row = jax.device_get(lengths[0])
     return {
-        "single_us": 1e6 * _median_seconds(lambda: single(row), config.single_calls),
-        "batch_rows_per_s": config.batch_size / _median_seconds(lambda: batch(lengths), config.batch_calls),
+        "single_us": 1e6 * _median_seconds(lambda: single(pose, row), config.single_calls),
+        "batch_rows_per_s": config.batch_size / _median_seconds(lambda: batch(pose, lengths), config.batch_calls),
     }
 
 

@@ -8,15 +8,15 @@ import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import Range, as_mapping, configuration, shipped
 from qjrl.measured import read_progress
-from qjrl.robot.forward_model import ForwardModel, ForwardModelConfig, pose_function
-from qjrl.robot.model_fitting import Rows, fit_rows, pose_errors, settled_split
+from qjrl.robot.model_coordinates import Rows
+from qjrl.robot.model_fitting import errors_of, settled_split
 from qjrl.robot.model_uncertainty import calibrate
+from qjrl.robot.network_fitting import fit_rows
+from qjrl.robot.network_model import NetworkModel, NetworkModelConfig
 from qjrl.robot.verbs import Robot
 from qjrl.studies.model_study.latency import LatencyConfig, measure_latency
 
@@ -27,11 +27,11 @@ NumRows = Annotated[int, Range(10)]
 class ModelStudyConfig:
     """Group `model_study`; all fits are of one seed. All values ours."""
 
-    paper: ForwardModelConfig = dataclasses.field(
-        default_factory=lambda: shipped(ForwardModelConfig, "forward_model/paper")
+    paper: NetworkModelConfig = dataclasses.field(
+        default_factory=lambda: shipped(NetworkModelConfig, "forward_model/paper")
     )
     """The paper's network."""
-    corrected: ForwardModelConfig = ForwardModelConfig()
+    corrected: NetworkModelConfig = NetworkModelConfig()
     """Ours; the ablation and the widths change one thing of it at a time."""
     sizes: tuple[NumRows, ...] = (1000, 3000, 10_000, 30_000, 100_000)
     """Rows fitted for the learning curves; a size above what is there becomes what is there."""
@@ -62,7 +62,7 @@ class ModelStudyConfig:
 class StudyFit:
     """One fit of the study; two parts that ask for the same one share it."""
 
-    config: ForwardModelConfig
+    config: NetworkModelConfig
     rows: int
 
     @property
@@ -131,7 +131,7 @@ def run_study(
 
 def run_fit(
     robot: Robot, fit: StudyFit, split: tuple[Rows, Rows], seed: int, directory: Path
-) -> tuple[ForwardModel, dict[str, Any]]:
+) -> tuple[NetworkModel, dict[str, Any]]:
     """One fit and its result; the fitting loop reads a finished fit again and goes on with an interrupted one."""
     train = {name: column[: fit.rows] for name, column in split[0].items()}
     model, result = fit_rows(robot, fit.config, (train, split[1]), seed, directory, label=fit.name)
@@ -149,13 +149,7 @@ def run_fit(
     }
 
 
-def errors_of(robot: Robot, model: ForwardModel, data: Rows) -> dict[str, float]:
-    """Quantiles of a model's errors on rows."""
-    poses = jax.jit(jax.vmap(pose_function(robot, model)))(jnp.asarray(data["cable_lengths"]))
-    return pose_errors(poses, data["pose"])
-
-
-def errors_by_tension(robot: Robot, model: ForwardModel, data: Rows) -> dict[str, Any]:
+def errors_by_tension(robot: Robot, model: NetworkModel, data: Rows) -> dict[str, Any]:
     """Errors where all strands pull and where one hangs slack: there the physics has a kink."""
     slack = data["strand_tension"].min(axis=1) <= 0.0
     parts = {"all strands taut": ~slack, "some strand slack": slack}
@@ -166,14 +160,14 @@ def errors_by_tension(robot: Robot, model: ForwardModel, data: Rows) -> dict[str
     }
 
 
-def _shortened(config: ModelStudyConfig, rows: int) -> ForwardModelConfig:
+def _shortened(config: ModelStudyConfig, rows: int) -> NetworkModelConfig:
     epochs = max(1, min(config.paper.fit.epochs, config.most_visits // rows))
     return dataclasses.replace(config.paper, fit=dataclasses.replace(config.paper.fit, epochs=epochs))
 
 
-def _changed(config: ForwardModelConfig, form: Any) -> ForwardModelConfig:
+def _changed(config: NetworkModelConfig, form: Any) -> NetworkModelConfig:
     return dataclasses.replace(config, form=form)
 
 
-def _resized(config: ForwardModelConfig, **sizes: int) -> ForwardModelConfig:
+def _resized(config: NetworkModelConfig, **sizes: int) -> NetworkModelConfig:
     return dataclasses.replace(config, network=dataclasses.replace(config.network, **sizes))

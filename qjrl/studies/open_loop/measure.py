@@ -10,7 +10,7 @@ from qjrl.control.first_commands import first_commands
 from qjrl.control.inversion import IKConfig
 from qjrl.control.targets import draw_configurations, target_poses
 from qjrl.keys import seed_for
-from qjrl.robot.forward_model import PoseFunction
+from qjrl.robot.pose_model import PoseFunction
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.rested import require_rest
 from qjrl.simulation.settle_problem import SettleConfig

@@ -10,13 +10,14 @@ from arms import arm_named, over_rows
 
 from qjrl.config import ConfigError
 from qjrl.control.path.chains import chained
-from qjrl.control.path.errors import counted_errors, model_poses, pose_residual
+from qjrl.control.path.errors import counted_errors, pose_residual
 from qjrl.control.path.inversion import PathInversionConfig, invert_path
 from qjrl.control.path.paths import CircleConfig, ShapeConfig, make_path
 from qjrl.geometry.pose import pose_from_frame
 from qjrl.geometry.rotations import rotation_x
 from qjrl.robot import bends_from_cables, forward_kinematics
 from qjrl.robot.forward_model import pose_function
+from qjrl.robot.pose_model import model_poses
 
 ARM = arm_named("qj_22")
 CONFIG = PathInversionConfig(num_starts=4)

@@ -53,6 +53,13 @@ def test_forward_model_section_sets_the_closed_form_beside_the_model():
     assert len(section.pictures) == 2
 
 
+def test_forward_model_section_of_a_model_without_epochs_draws_no_curves():
+    errors = {"median_mm": 0.7, "p99_mm": 3.0, "median_deg": 0.2}
+    metrics = {"kind": "ridge", "held_out": errors, "nominal": errors, "rows": {"fitted": 90, "held_out": 10}}
+    section = sections.forward_model_section(metrics, [])
+    assert "ridge" in section.text and not section.pictures and section.numbers[0].value == 0.7
+
+
 def test_ik_section_compares_belief_and_physics():
     answers = {
         "target_set": np.repeat([0, 1], 8),
