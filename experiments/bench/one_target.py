@@ -2,14 +2,15 @@
 
     python experiments/bench/one_target.py [outputs/default/forward_model]
 
-Both solve the same targets of `qj_2222_spherical`, in double precision; PyRoki (extra `bench`) on the URDF that our own code
-writes, as its own example does, from home or from the measured joints. Solved: to 0.01 mm and 0.01° by our kinematics,
+Both solve the same targets of `qj_2222_spherical`; PyRoki (extra `bench`) on the URDF that our own code writes, as its own
+example does, from home or from the measured joints. Solved: to 0.01 mm and 0.01° by our kinematics,
 evaluated again at the answers; PyRoki's limits are a box about ours. The learned model of the last walk is that of
 `inverse_kinematics.py`.
 """
 
 import math
 import tempfile
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -22,7 +23,7 @@ from inverse_kinematics import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, second
 from qjrl.geometry.pose import row_errors
 from qjrl.learning.fitting import predict
 from qjrl.provenance import provenance
-from qjrl.robot import bends_from_angles, bends_from_cables, forward_kinematics, load_robot
+from qjrl.robot import bends_from_angles, bends_from_cables, cable_lengths, forward_kinematics, load_robot
 from qjrl.robot.forward_model import make_network, model_inputs, pose_function
 from qjrl.robot.kinds import kind_of
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles, half_angles
@@ -81,20 +82,25 @@ def share_solved(poses, targets) -> float:
 
 
 class PyRoki:
-    """Its example's costs and solver on our URDF; raises ImportError where it is not installed."""
+    """Its example's costs and solver on our URDF, in single precision: its dense solver takes no other.
+
+    Raises:
+        ImportError: it is not installed.
+    """
 
     def __init__(self, robot):
         import jaxlie  # pyright: ignore[reportMissingImports]
         import jaxls  # pyright: ignore[reportMissingImports]
         import pyroki  # pyright: ignore[reportMissingImports]
         import yourdfpy  # pyright: ignore[reportMissingImports]
+        from loguru import logger  # pyright: ignore[reportMissingImports]
 
-        with tempfile.TemporaryDirectory() as folder:
+        logger.disable("jaxls")
+        with tempfile.TemporaryDirectory() as folder, jax.enable_x64(False):
             path = Path(folder) / "arm.urdf"
             path.write_text(build_urdf(robot))
-            description = yourdfpy.URDF.load(str(path), load_meshes=False, build_scene_graph=False)
-        arm = pyroki.Robot.from_urdf(description)
-        tip = jnp.array(arm.links.names.index("tip"))
+            arm = pyroki.Robot.from_urdf(yourdfpy.URDF.load(str(path), load_meshes=False))
+            tip = jnp.array(arm.links.names.index("tip"), jnp.int32)
 
         def solve(target: jax.Array, bends: jax.Array) -> jax.Array:
             joints = arm.joint_var_cls(0)
@@ -107,15 +113,22 @@ class PyRoki:
                 pyroki.costs.limit_cost(arm, joints, weight=100.0),
             ]
             start = jaxls.VarValues.make([joints.with_value(jax.vmap(half_angles)(bends).reshape(-1))])
-            found = jaxls.LeastSquaresProblem(costs, [joints]).analyze().solve(
-                start,
-                verbose=False,
-                linear_solver="dense_cholesky",
-                trust_region=jaxls.TrustRegionConfig(lambda_initial=1.0),
-            )
+            problem = jaxls.LeastSquaresProblem(costs, [joints]).analyze()
+            trust = jaxls.TrustRegionConfig(lambda_initial=1.0)
+            found = problem.solve(start, verbose=False, linear_solver="dense_cholesky", trust_region=trust)
             return bends_from_half_angles(found[joints].reshape(-1, 2))
 
-        self.solve, self.solve_many = jax.jit(solve), jax.jit(jax.vmap(solve))
+        self._one, self._many = jax.jit(solve), jax.jit(jax.vmap(solve))
+
+    def solve(self, target: np.ndarray, bends: np.ndarray) -> jax.Array:
+        """Bends (segments, 2) for a target (9,) from bends."""
+        with jax.enable_x64(False):
+            return self._one(target.astype(np.float32), bends.astype(np.float32))
+
+    def solve_many(self, targets: np.ndarray, bends: np.ndarray) -> jax.Array:
+        """The same for rows."""
+        with jax.enable_x64(False):
+            return self._many(targets.astype(np.float32), bends.astype(np.float32))
 
 
 def latency(seconds: list[float]) -> str:
@@ -155,20 +168,25 @@ def bench_walk(name: str, robot, bends: np.ndarray, targets: np.ndarray, solve, 
         pose_of: of many commanded bends, what is reached.
         joints_of: commanded bends -> where the joints come to rest.
     """
-    random, measured, seconds, answers, moves = np.random.default_rng(2), bends[0], [], [], []
+    random, measured = np.random.default_rng(2), bends[0]
+    seconds, busy, answers, moves = [], [], [], []
     jax.block_until_ready(solve(targets[0], measured))
     for target in targets:
         noise = NOISE / math.sqrt(2.0) * random.normal(size=measured.shape)  # a segment has two joints
         start = np.asarray(bends_of_one(vectors_of(robot, measured) + noise))
         before = answers[-1] if answers else None
-        seconds.append(timed(lambda: answers.append(np.asarray(solve(target, start)))))  # noqa: B023
+        began, used = time.perf_counter(), time.process_time()
+        answers.append(np.asarray(solve(target, start)))
+        busy.append(time.process_time() - used)
+        seconds.append(time.perf_counter() - began)
         if before is not None:
             moves.append(np.linalg.norm(vectors_of(robot, answers[-1]) - vectors_of(robot, before)))
         measured = joints_of(answers[-1])
     solved = share_solved(pose_of(np.stack(answers)), targets)
     walked = np.linalg.norm(np.diff(vectors_of(robot, bends), axis=0).reshape(NUM_STEPS - 1, -1), axis=1).max()
     print(
-        f"  {name:22} {latency(seconds)}, {solved:6.2f} % solved, largest step {max(moves):.3f} rad (the walk's {walked:.3f})"
+        f"  {name:22} {latency(seconds)}; CPU time {latency(busy)}; {solved:6.2f} % solved; "
+        f"largest step {max(moves):.3f} rad, its p99 {np.quantile(moves, 0.99):.3f} (the walk's largest {walked:.3f})"
     )
 
 
@@ -193,7 +211,7 @@ def bench_walks(robot, rival: PyRoki | None, largest_deg: float) -> None:
 def bench_model_walk(robot, fitted, largest_deg: float) -> None:
     """A learned model; the joints rest where it says."""
     model, form, network = pose_function(robot, fitted), fitted.config.form, make_network(robot, fitted.config)
-    lengths_of = partial(kind_of(robot).cable_lengths, robot)
+    lengths_of = partial(cable_lengths, robot)
 
     def joints(bends: jax.Array) -> jax.Array:
         lengths = lengths_of(bends)

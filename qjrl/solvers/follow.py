@@ -34,9 +34,9 @@ class FollowConfig:
     descent: DescentConfig = DescentConfig(damping=1e-4, damping_increase=10.0)
     """Weights, damping, tolerances. A call begins with little damping, next to its answer, and must find enough in a few
     steps where the target is out of reach. It does not end early: `shortest_step` and `optimality` play no part."""
-    iterations: Annotated[int, Range(1, 1000)] = 6
+    iterations: Annotated[int, Range(1, 1000)] = 8
     """Steps of every call, no more and no fewer."""
-    largest_move: Annotated[float, Range(above=0.0)] = 0.3
+    largest_move: Annotated[float, Range(above=0.0)] = 0.2
     """Bound of a call's motion from its start, over all coordinates [rad]."""
     posture: Annotated[float, Range(low=0.0, high=1.0)] = 0.01
     """Share of the way home that a call moves, in what motion leaves the tip in place; 0: none."""
@@ -165,7 +165,9 @@ def _search(robot: Robot, tip: TipFunction, config: FollowConfig, target: jax.Ar
     kinematics are compiled once."""
     limits, descent = kind_of(robot).limits(robot), config.descent
     near = _Near(limits, limits.within(begun), config.largest_move)
-    homewards = config.posture * (kind_of(robot).coordinates_of(robot, home(robot).astype(begun.dtype))[:, None] - near.centre)
+    homewards = config.posture * (
+        kind_of(robot).coordinates_of(robot, home(robot).astype(begun.dtype))[:, None] - near.centre
+    )
 
     def advance(number: jax.Array, state: _Search) -> _Search:
         tip_there = tip(robot, state.trial)

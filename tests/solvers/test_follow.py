@@ -1,4 +1,5 @@
 import dataclasses
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +30,9 @@ def follower():
     return PoseFollower(ARM)
 
 
-ASIDE = np.array([[0.15, 0.0], [0.0, 0.12], [-0.1, 0.1], [0.05, -0.15]])  # at home a redundant arm has no way up or down
+ASIDE = np.array(
+    [[0.15, 0.0], [0.0, 0.12], [-0.1, 0.1], [0.05, -0.15]]
+)  # at home a redundant arm has no way up or down
 
 
 def walk(count: int, share: float, seed: int = 0, size: float = 0.004) -> np.ndarray:
@@ -73,7 +76,9 @@ def test_an_answer_is_exact_by_the_kinematics_evaluated_again(follower):
     starts = bends + 0.01 * np.random.default_rng(0).normal(size=bends.shape)
     answers = [follower.solve(target, start) for target, start in zip(targets, starts, strict=True)]
     lengths = np.stack([one.cable_lengths for one in answers])
-    np.testing.assert_allclose(lengths, over_rows(cable_lengths, ARM, [one.configuration for one in answers]), atol=1e-15)
+    np.testing.assert_allclose(
+        lengths, over_rows(cable_lengths, ARM, [one.configuration for one in answers]), atol=1e-15
+    )
     position, orientation = row_errors(poses_of(over_rows(bends_from_cables, ARM, lengths)), targets)
     assert all(one.converged for one in answers)
     assert position.max() < 1e-3 * POSITION_TOLERANCE and orientation.max() < 1e-3 * ORIENTATION_TOLERANCE
@@ -87,8 +92,8 @@ def test_a_random_walk_is_followed_without_a_jump(follower, noise):
     answers = followed(follower, poses_of(bends), bends[0], noise)
     assert all(one.converged for one in answers)
     configurations = [bends[0], *[one.configuration for one in answers]]
-    moves = np.array([size_of_move(*pair) for pair in zip(configurations[:-1], configurations[1:], strict=True)])
-    walked = max(size_of_move(*pair) for pair in zip(bends[:-1], bends[1:], strict=True))
+    moves = np.array([size_of_move(*pair) for pair in itertools.pairwise(configurations)])
+    walked = max(size_of_move(*pair) for pair in itertools.pairwise(bends))
     assert moves.max() < 2.0 * walked + 10.0 * noise
 
 
@@ -100,7 +105,10 @@ def test_half_a_step_of_the_target_is_half_a_move(follower):
             moved = one + size * direction
             answer = follower.solve(poses_of(moved[None])[0], one)
             home_share = CONFIG.posture * size_of_move(one, np.zeros_like(one))
-            assert answer.converged and size_of_move(answer.configuration, one) < 1.5 * size_of_move(moved, one) + home_share
+            assert (
+                answer.converged
+                and size_of_move(answer.configuration, one) < 1.5 * size_of_move(moved, one) + home_share
+            )
 
 
 def test_whatever_is_asked_a_call_moves_no_farther_than_its_bound_and_within_the_limits(follower):
@@ -131,7 +139,9 @@ def test_a_start_beyond_the_limits_is_brought_back(follower):
 def test_from_a_bad_start_the_target_is_reached_in_some_calls(follower):
     targets, starts = reachable(ARM, 20, seed=5, share=0.6), random_bends(ARM, 20, seed=6, share=0.6)
     ends = [followed(follower, [target] * 40, start)[-1] for target, start in zip(targets, starts, strict=True)]
-    assert np.mean([one.converged for one in ends]) >= 0.8  # the others end at limits: a way round them is another branch
+    assert (
+        np.mean([one.converged for one in ends]) >= 0.8
+    )  # the others end at limits: a way round them is another branch
 
 
 def test_out_of_reach_calls_end_at_a_pose_that_no_descent_from_there_betters(follower):
@@ -157,8 +167,12 @@ def test_half_a_turn_away_is_not_converged(follower):
 def test_at_a_pose_that_is_held_the_arm_forgets_how_it_came_there(follower):
     one = random_bends(ARM, 1, seed=8, share=0.5)[0]
     target = poses_of(one[None])[0]
-    other = followed(follower, [target] * 40, one + 0.2 * np.random.default_rng(3).normal(size=one.shape))[-1].configuration
-    ends = [followed(follower, [target] * 300, start, noise=0.002, seed=number) for number, start in enumerate((one, other))]
+    other = followed(follower, [target] * 40, one + 0.2 * np.random.default_rng(3).normal(size=one.shape))[
+        -1
+    ].configuration
+    ends = [
+        followed(follower, [target] * 300, start, noise=0.002, seed=number) for number, start in enumerate((one, other))
+    ]
     assert all(answer.converged for answers in ends for answer in answers)
     assert size_of_move(other, one) > 0.1
     assert size_of_move(ends[0][-1].configuration, ends[1][-1].configuration) < 0.5 * size_of_move(other, one)
@@ -185,7 +199,9 @@ def test_another_kind_of_robot_is_followed_too():
         angles = np.stack([np.sin(np.linspace(0.1, 6.0, 100)), 0.9 + 0.2 * np.cos(np.linspace(0.0, 6.0, 100))], axis=1)
         targets = over_rows(forward_kinematics, arm, angles)
         answers = followed(PoseFollower(arm), targets, angles[0])
-        beyond = followed(PoseFollower(arm), [over_rows(forward_kinematics, arm, [[1.5, 0.5]])[0]] * 20, np.zeros(2))[-1]
+        beyond = followed(PoseFollower(arm), [over_rows(forward_kinematics, arm, [[1.5, 0.5]])[0]] * 20, np.zeros(2))[
+            -1
+        ]
     finally:
         del KINDS["planar_arm"]
     assert all(one.converged for one in answers)

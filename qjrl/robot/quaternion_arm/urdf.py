@@ -42,9 +42,7 @@ def build_urdf(arm: QuaternionArm) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _add_hinge(
-    root: ElementTree.Element, arm: QuaternionArm, parent: str, name: str, label: str, along: float
-) -> str:
+def _add_hinge(root: ElementTree.Element, arm: QuaternionArm, parent: str, name: str, label: str, along: float) -> str:
     """A link on a hinge at `along` of its parent's z; its name. Only the first joint's lower hinges are free."""
     link, axis = f"{name}_{label}", "1 0 0" if name.endswith("x") else "0 1 0"
     add_element(root, "link", name=link)
