@@ -28,7 +28,7 @@ from qjrl.robot.forward_model import make_network, model_inputs, pose_function
 from qjrl.robot.kinds import kind_of
 from qjrl.robot.quaternion_arm.coordinates import bends_from_half_angles, half_angles
 from qjrl.robot.quaternion_arm.urdf import build_urdf
-from qjrl.solvers import LeastSquaresConfig, PoseFollower, draw_candidates, solve_least_squares
+from qjrl.solvers import FollowConfig, LeastSquaresConfig, PoseFollower, draw_candidates, solve_least_squares
 
 BATCHES, NUM_SINGLE, NUM_STEPS = (100, 500, 4096), 100, 5000
 LARGEST_FOR_RIVALS = 500
@@ -139,12 +139,14 @@ def latency(seconds: list[float]) -> str:
 
 
 def bench_batches(robot, rival: PyRoki | None, largest_deg: float) -> None:
-    """From home, nothing known of the answers."""
+    """From home, nothing known of the answers; a follower for it has 40 steps and no bound, and takes one target."""
     bends = random_bends(robot, max(BATCHES), largest_deg)
     targets, starts = poses_of(robot, bends), np.zeros(bends.shape)
     candidates = draw_candidates(robot, CONFIG)
     ours = lambda rows: solve_least_squares(robot, rows, None, CONFIG, candidates).bends  # noqa: E731
-    ways: dict[str, Callable] = {"ours": ours}
+    patient = PoseFollower(robot, config=FollowConfig(iterations=40, largest_move=20.0, posture=0.0))
+    alone = lambda rows: patient.solve(rows[0], starts[0]).configuration[None]  # noqa: E731
+    ways: dict[str, Callable] = {"ours": ours, "follower": alone}
     if rival is not None:
         ways["PyRoki"] = lambda rows: rival.solve_many(rows, starts[: len(rows)])
     print(f"targets of bends to ±{largest_deg:g}°, from home")
@@ -155,7 +157,7 @@ def bench_batches(robot, rival: PyRoki | None, largest_deg: float) -> None:
         share = solved(robot, found, poses_of(robot, found), targets[:NUM_SINGLE])
         print(f"  {name:8} {1:5} at once: {latency(seconds)}, {share}")
         for count in BATCHES:
-            if name == "PyRoki" and count > LARGEST_FOR_RIVALS:
+            if name == "follower" or (name == "PyRoki" and count > LARGEST_FOR_RIVALS):
                 continue
             each = 1e3 * seconds_of(lambda: solve(targets[:count])) / count  # noqa: B023
             found = np.asarray(solve(targets[:count]))

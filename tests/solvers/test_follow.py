@@ -101,7 +101,7 @@ def test_half_a_step_of_the_target_is_half_a_move(follower):
     bends = random_bends(ARM, 12, seed=9, share=0.6)
     aside = np.random.default_rng(1).normal(size=bends.shape)
     for one, direction in zip(bends, aside, strict=True):
-        for size in (0.03, 0.003, 0.0003):
+        for size in (0.02, 0.002, 0.0002):
             moved = one + size * direction
             answer = follower.solve(poses_of(moved[None])[0], one)
             home_share = CONFIG.posture * size_of_move(one, np.zeros_like(one))
@@ -122,8 +122,8 @@ def test_whatever_is_asked_a_call_moves_no_farther_than_its_bound_and_within_the
 
 
 def test_limits_are_kept_on_a_walk_that_runs_into_them(follower):
-    bends = walk(300, share=1.0, size=0.04)
-    assert (np.linalg.norm(bends, axis=2) > 0.999 * LIMIT_OF_BENDS).mean() > 0.1
+    bends = walk(400, share=1.0, size=0.02)
+    assert (np.linalg.norm(bends, axis=2) > 0.999 * LIMIT_OF_BENDS).mean() > 0.05
     answers = followed(follower, poses_of(bends), bends[0])
     assert np.linalg.norm([one.configuration for one in answers], axis=2).max() <= LIMIT_OF_BENDS + 1e-12
     assert np.mean([one.converged for one in answers]) > 0.5
