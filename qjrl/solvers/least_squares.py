@@ -101,29 +101,44 @@ def solve_least_squares(
     """
     checked, model = check_targets(robot, targets), as_model(model)
     candidates = candidates or draw_candidates(robot, config)
-    if model is not None and initial_bends is None:
-        initial_bends = solve_least_squares(robot, checked, None, config, candidates).bends
-    best = _nothing_found(robot, len(checked))
-    if initial_bends is not None:
-        begun = check_initial_configurations(robot, initial_bends, len(checked))
-        best = dataclasses.replace(best, coordinates=np.asarray(_coordinates_of(robot, begun)))
+    begun = _begun(robot, checked, initial_bends, config, candidates, model)
+    best = _search(robot, checked, begun, config, candidates, model)
+    result = _evaluate(robot, model, config, checked, best)
+    return _tighten(robot, model, config, candidates, checked, result)
+
+
+def _begun(robot: Robot, targets: np.ndarray, bends: Any, config, candidates: Candidates, model) -> np.ndarray | None:
+    """Coordinates (n, coordinates) to start from first, if any; of the closed form's answer no tension that is not asked."""
+    if bends is None and model is not None and config.least_tension == 0.0:
+        return _search(robot, targets, None, config, candidates, None).coordinates
+    if bends is None and model is not None:
+        bends = solve_least_squares(robot, targets, None, config, candidates).bends
+    if bends is None:
+        return None
+    return np.asarray(_coordinates_of(robot, check_initial_configurations(robot, bends, len(targets))))
+
+
+def _search(robot: Robot, targets: np.ndarray, begun: np.ndarray | None, config, candidates, model) -> "_Best":
+    """The best end of every target after the rounds it needs."""
+    best = _nothing_found(robot, len(targets))
+    if begun is not None:
+        best = dataclasses.replace(best, coordinates=begun)
     for number, one_round in enumerate(config.rounds):
         rows = np.flatnonzero(best.status != Status.CONVERGED)
         if len(rows) == 0:
             break
-        is_begun = number > 0 or initial_bends is not None
-        starts = _starts(config, candidates, best.coordinates[rows], checked[rows], number, is_begun)
+        is_begun = number > 0 or begun is not None
+        starts = _starts(config, candidates, best.coordinates[rows], targets[rows], number, is_begun)
         iterations = one_round.iterations
         if model is not None and number > 0:  # the way there on the closed form, which costs next to nothing
-            starts = _descend(robot, None, config, starts, checked[rows], iterations).coordinates
+            starts = _descend(robot, None, config, starts, targets[rows], iterations).coordinates
             iterations = config.rounds[0].iterations
-        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], iterations))
+        best = _keep_better(best, rows, _descend(robot, model, config, starts, targets[rows], iterations))
     rows = np.flatnonzero(best.status != Status.CONVERGED)
     if len(rows) and config.nearest_iterations:
         starts, steps = best.coordinates[rows][:, None], config.nearest_iterations
-        best = _keep_better(best, rows, _descend(robot, model, config, starts, checked[rows], steps, is_exact=True))
-    result = _evaluate(robot, model, config, checked, best)
-    return _tighten(robot, model, config, candidates, checked, result)
+        best = _keep_better(best, rows, _descend(robot, model, config, starts, targets[rows], steps, is_exact=True))
+    return best
 
 
 @jax.jit
@@ -248,9 +263,8 @@ def _tighten(
     best = _Best(ends.coordinates[chosen], ends.cost[chosen], ends.status[chosen], ends.steps.sum(axis=1))
     if model is not None:
         starts, iterations = best.coordinates[:, None], config.rounds[0].iterations
-        ends = jax.tree.map(
-            lambda value: value[:, 0], _descend(robot, model, config, starts, targets[rows], iterations)
-        )
+        descended = _descend(robot, model, config, starts, targets[rows], iterations)
+        ends = jax.tree.map(lambda value: value[:, 0], descended)
         best = _Best(ends.coordinates, ends.cost, ends.status, best.steps + ends.steps)
     found = _evaluate(robot, model, config, targets[rows], best)
     is_better = found.converged & (found.least_tension > result.least_tension[rows])

@@ -114,7 +114,7 @@ def is_nearest(robot: Robot, config: DescentConfig, state: Descent) -> Bool[Arra
 
     At the minimum the cosines are 0; those of 1e-3 cost about a millionth of the error (second order).
     """
-    free = _free_jacobian(kind_of(robot).limits(robot), state.coordinates, state.residual)
+    free = free_jacobian(kind_of(robot).limits(robot), state.coordinates, state.residual)
     gradient = jnp.abs(jnp.sum(free * state.residual.error[:, None], axis=0))  # (coordinates, batch)
     scale = jnp.sqrt(jnp.sum(state.residual.jacobian**2, axis=0) * state.residual.cost)
     return jnp.all(gradient <= config.optimality * scale, axis=0)
@@ -173,7 +173,7 @@ def _begin(problem: _Problem, coordinates: jax.Array) -> Descent:
 def _iterate(problem: _Problem, state: Descent) -> Descent:
     """One step of every start that is going; taken back where it does not lower the cost."""
     config, residual = problem.config, state.residual
-    free = dataclasses.replace(residual, jacobian=_free_jacobian(problem.limits, state.coordinates, residual))
+    free = dataclasses.replace(residual, jacobian=free_jacobian(problem.limits, state.coordinates, residual))
     step = damped_step(free, state.damping, config.largest_step)
     coordinates = problem.limits.within(state.coordinates + step)
     residual = problem.residual(coordinates)
@@ -192,7 +192,7 @@ def _iterate(problem: _Problem, state: Descent) -> Descent:
     )
 
 
-def _free_jacobian(limits: Limits, coordinates: jax.Array, residual: Residual) -> jax.Array:
+def free_jacobian(limits: Limits, coordinates: jax.Array, residual: Residual) -> jax.Array:
     """The Jacobian without what would carry a coordinate beyond its limit (gradient projection).
 
     Clipping alone spends the step outward and stops short of the best point on the limit.

@@ -11,7 +11,7 @@ from qjrl.geometry.pose import row_errors
 from qjrl.robot import bends_from_cables, cable_lengths, cable_strokes, forward_kinematics
 from qjrl.robot.quaternion_arm.differential import tip_of
 from qjrl.simulation import settle
-from qjrl.solvers import LeastSquaresConfig, Status, draw_candidates, solve_least_squares
+from qjrl.solvers import LeastSquaresConfig, Status, draw_candidates, least_squares, solve_least_squares
 from qjrl.solvers.least_squares import RoundConfig
 from qjrl.solvers.levenberg_marquardt import Residual, damped_step
 from qjrl.solvers.model_tip import exact_tip_function
@@ -188,6 +188,18 @@ def test_a_model_is_inverted_along_the_closed_forms_jacobian():
     np.testing.assert_allclose(result.position_error, position, atol=1e-12)
     assert position.max() <= 1e-5 and orientation.max() <= np.radians(0.01)
     assert np.median(result.steps) <= 8
+
+
+def test_where_no_tension_is_asked_for_the_closed_forms_answer_on_the_way_is_not_evaluated(monkeypatch):
+    evaluated, evaluate = [], least_squares._evaluate
+    monkeypatch.setattr(least_squares, "_evaluate", lambda *given: evaluated.append(given) or evaluate(*given))
+    targets, config = reachable(ARM, 6, seed=4, share=0.8), dataclasses.replace(CONFIG, least_tension=0.0)
+    at_once = solve_least_squares(ARM, targets, config=config, candidates=CANDIDATES, model=sagging)
+    assert len(evaluated) == 1
+    nominal = solve_least_squares(ARM, targets, config=config, candidates=CANDIDATES)
+    in_turns = solve_least_squares(ARM, targets, nominal.bends, config, CANDIDATES, sagging)
+    np.testing.assert_allclose(at_once.cable_lengths, in_turns.cable_lengths, atol=1e-9)
+    np.testing.assert_allclose(at_once.least_tension, in_turns.least_tension, atol=1e-5)
 
 
 def test_what_is_out_of_a_models_reach_gets_the_models_nearest_pose():
