@@ -24,9 +24,9 @@ from qjrl.simulation import row_by_row as module
 seen, block = [], module._block
 module._block = lambda *arguments: (seen.append(block(*arguments)), seen[-1])[1]
 with jax.default_device(jax.devices()[1]):
-    robot = load_robot("qj_22")
+    robot = jax.tree.map(jax.numpy.asarray, load_robot("qj_22"))
     module.row_by_row(lambda robot, row: row * robot.bend_limit, robot, np.ones((3, 4)))
-print(robot.bend_limit.devices(), seen[0].devices())
+print(robot.link_length.devices(), seen[0].devices())
 """
 
 
