@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from qjrl.robot.kinds import KINDS
+
 PACKAGE = Path(__file__).parent.parent / "qjrl"
 FILES = sorted(PACKAGE.rglob("*.py"))
 FLOORS = {
@@ -107,6 +109,19 @@ def test_no_two_folders_side_by_side_import_each_other() -> None:
     tuple(graphlib.TopologicalSorter(below).static_order())  # raises CycleError, naming the folders
     assert ("control", "tracking") not in found["control", "tension"]
     assert ("control", "tension") not in found["control", "tracking"]
+
+
+def test_only_its_own_folder_and_studies_know_a_kind_of_robot() -> None:
+    """But for what hands on its public names: the registry, the verbs and the solvers' door."""
+    kinds = tuple(f"qjrl.robot.{name}." for name in KINDS)
+    knowing = {
+        file.relative_to(PACKAGE).as_posix()
+        for file in FILES
+        if any(f"{module}.".startswith(kinds) for module in modules_imported(file))
+        and file.parent.name not in KINDS
+        and file.relative_to(PACKAGE).parts[0] != "studies"
+    }
+    assert knowing == {"robot/kinds.py", "robot/verbs.py", "solvers/__init__.py"}
 
 
 def files_importing(*packages: str) -> set[str]:

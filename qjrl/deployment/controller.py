@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from qjrl.deployment.functions import DeployedFunction, Outputs, Port, Precision
-from qjrl.robot.kinds import configuration_shape
+from qjrl.robot.kinds import configuration_shape, verb
 from qjrl.robot.verbs import Robot
 
 _ACTION = "a residual of the tip: shift, then rotation vector times 0.1 m; or one of every cable"
@@ -72,7 +72,7 @@ def deployed_controller(
         raise ValueError(f"state: got {sorted(shapes)}, described: {sorted({*_FIXED, *_CARRIED, READING})}")
     ports = {name: _port(name, shapes[name], precision) for name in (*_FIXED, *_CARRIED, READING)}
     first = [ports[name] for name in ("target", "base_lengths", READING)]
-    radius = robot.config.motors.pulley_radius
+    radius = verb(robot, "interface").pulley_radius(robot)
 
     def begins(target: jax.Array, base_lengths: jax.Array, reading: jax.Array) -> Outputs:
         state = begin(target, base_lengths, reading)

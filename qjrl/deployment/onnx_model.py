@@ -13,11 +13,10 @@ import numpy as np
 from qjrl.deployment.functions import DeployedFunction, Precision
 from qjrl.learning.fitting import predict
 from qjrl.robot import in_precision
+from qjrl.robot.kinds import verb
 from qjrl.robot.model_coordinates import model_inputs
 from qjrl.robot.network_model import NetworkModel, make_network
-from qjrl.robot.quaternion_arm.arm import require_arm
-from qjrl.robot.quaternion_arm.tip import tip_poses
-from qjrl.robot.verbs import Robot, bends_from_cables
+from qjrl.robot.verbs import Robot, configuration_from_cables
 
 PACKAGES = ("jax2onnx", "onnx", "onnxruntime")
 OPSET = 23
@@ -68,18 +67,14 @@ def load(content: bytes) -> Callable[[Any], dict[str, np.ndarray]]:
 
 def _batched_forward_model(robot: Robot, model: NetworkModel) -> Callable[[jax.Array], jax.Array]:
     """`NetworkPose` over a batch, without what jax2onnx cannot translate: a vmapped dense layer, a scan over joints."""
-    arm, form, network = (
-        require_arm(robot, "the forward model in ONNX"),
-        model.config.form,
-        make_network(robot, model.config),
-    )
+    form, network, plain_poses = model.config.form, make_network(robot, model.config), verb(robot, "plain_poses")
 
     def poses(lengths: jax.Array) -> jax.Array:
         answers = predict(network, model.fitted, jax.vmap(lambda row: model_inputs(robot, form, row))(lengths))
         if form == "paper":
             return answers.astype(lengths.dtype)
-        bends = jax.vmap(lambda row: bends_from_cables(robot, row))(lengths)
-        return tip_poses(arm, bends + answers.astype(lengths.dtype).reshape(-1, robot.num_segments, 2))
+        nominal = jax.vmap(lambda row: configuration_from_cables(robot, row))(lengths)
+        return plain_poses(robot, nominal + answers.astype(lengths.dtype).reshape(nominal.shape))
 
     return poses
 

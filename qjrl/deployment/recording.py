@@ -10,7 +10,8 @@ import numpy as np
 from qjrl import artifacts
 from qjrl.artifacts import ArtifactError
 from qjrl.deployment.real_time import Played
-from qjrl.deployment.safety import ASKED, FLAGS, GOOD, UNLIMITED, ReadingLimits, SafeController
+from qjrl.deployment.safety import ASKED, FLAGS, GOOD, UNLIMITED, SafeController
+from qjrl.robot.interface import ReadingLimits
 
 Record = Mapping[str, np.ndarray]
 """The columns of `Played` for all periods below each other; `episode` (n,) says which; for every episode `target` (k, 9),

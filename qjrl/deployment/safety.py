@@ -1,15 +1,13 @@
 """What a controller does with readings that cannot be trusted: hold the last command, flag it, go on when good ones come."""
 
-import dataclasses
-import itertools
 import math
 from typing import Any, Protocol
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
-from qjrl.robot.verbs import Robot, bends_from_cables
+from qjrl.robot.interface import ANGLE_MARGIN, ReadingLimits
+from qjrl.robot.kinds import verb
+from qjrl.robot.verbs import Robot
 
 FLAGS = ("good", "stale", "not_finite", "bad_answer", "beyond_stop", "too_fast")
 """Names of the flags 0, 1, ...: a reading that was used; one too old; one not finite; an answer that was not finite; a
@@ -18,45 +16,15 @@ GOOD, STALE, NOT_FINITE, BAD_ANSWER, BEYOND_STOP, TOO_FAST = range(len(FLAGS))
 ASKED = (GOOD, BAD_ANSWER)
 """Flags of periods in which the controller was asked."""
 
-# Noise of the encoders and give of the stops [rad].
-_ANGLE_MARGIN = math.radians(6.0)
-# A joint springs and swings, which the motors do not.
-_SPEED_FACTOR = 3.0
-
-
-@dataclasses.dataclass(frozen=True)
-class ReadingLimits:
-    """What a reading of a sound encoder keeps to, in every segment."""
-
-    angle: float
-    """Largest bend of a joint [rad]."""
-    speed: float
-    """Largest rate of a joint's bend [rad/s]."""
-    jump: float
-    """What two readings may differ by besides, however short the time between them [rad]."""
-
-
-NO_STOP_IS_BEYOND = ReadingLimits(math.pi / 2.0 + _ANGLE_MARGIN, math.inf, math.inf)
+NO_STOP_IS_BEYOND = ReadingLimits(math.pi / 2.0 + ANGLE_MARGIN, math.inf, math.inf)
 """Of an arm of which nothing is known: no description has a stop at 90 degrees or beyond."""
 UNLIMITED = ReadingLimits(math.inf, math.inf, math.inf)
 """Of records made before there were limits."""
 
 
 def reading_limits(robot: Robot) -> ReadingLimits:
-    """The stop of the robot's joints, and the rate at which its motors, all at their speed, can bend one at that stop."""
-    joint = robot.config.joint
-    stop = math.radians(joint.bend_limit_deg + joint.stop_margin_deg)
-    by_length = np.asarray(jax.jacfwd(lambda row: bends_from_cables(robot, row))(jnp.zeros(robot.num_cables)))
-    fastest = max(_fastest(rows) for rows in by_length) * float(robot.motor_speed)
-    # theta = 2 asin|a|: at the stop it changes most with a
-    speed = 2.0 * fastest / math.cos(stop / 2.0)
-    return ReadingLimits(stop + _ANGLE_MARGIN, _SPEED_FACTOR * speed, _ANGLE_MARGIN)
-
-
-def _fastest(rows: np.ndarray) -> float:
-    """Largest length of rows (2, cables) times cable speeds of -1 or 1: at a corner of their cube, as the length is convex."""
-    moved = rows[:, np.abs(rows).max(axis=0) > 0.0]
-    return max(float(np.linalg.norm(moved @ signs)) for signs in itertools.product((-1.0, 1.0), repeat=moved.shape[1]))
+    """What the readings of a robot's encoders keep to."""
+    return verb(robot, "interface").reading_limits(robot)
 
 
 class Controller(Protocol):

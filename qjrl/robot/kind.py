@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import jax
 
 from qjrl.robot.drawing import Drawing
+from qjrl.robot.interface import Interface
 from qjrl.robot.limits import Limits
 from qjrl.robot.particulars import Particulars
 from qjrl.robot.tip import Tip, tip_by_differentiation
@@ -90,6 +91,8 @@ class Kind:
     """(robot, coordinates) -> configuration; None: of the same numbers."""
     tip: Callable[..., Tip] | None = None
     """(robot, coordinates (n, *batch)) -> tip and Jacobian; None: by differentiation."""
+    plain_poses: Callable[..., jax.Array] | None = None
+    """(robot, configurations (batch, ...)) -> poses (batch, 9), of operations on whole arrays alone: for other formats."""
     within_limits: Callable[..., jax.Array] | None = None
     """(robot, configuration) -> the configuration brought back within the limits; None: through its coordinates."""
     at_distance: Callable[..., jax.Array] | None = None
@@ -130,6 +133,8 @@ class Kind:
     """(robot, joint positions) -> nearest configuration."""
     drawing: Drawing | None = None
     """How it is drawn."""
+    interface: Interface | None = None
+    """What it shows to controllers outside."""
     particulars: Particulars | None = None
     """What it says of itself beside what all kinds do."""
     reach: Callable[..., float] | None = None

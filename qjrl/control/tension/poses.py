@@ -10,7 +10,7 @@ from flax import struct
 from scipy.stats import qmc
 
 from qjrl.robot import bends_from_angles, cable_lengths, forward_kinematics
-from qjrl.robot.quaternion_arm.sampling import bends_from_unit_cube
+from qjrl.robot.kinds import verb
 from qjrl.robot.verbs import Robot
 from qjrl.simulation.row_by_row import row_by_row
 
@@ -43,7 +43,7 @@ def workspace_poses(robot: Robot, law: Law, count: int, seed: int, rim_share: fl
     """
     drawn = qmc.Sobol(2 * robot.num_segments + 1, rng=seed).random(2 ** math.ceil(math.log2(max(count, 1))))[:count]
     drawn[drawn[:, -1] < rim_share, 0:-1:2] = 1.0  # both laws read radius, turn, radius, turn, ...
-    bends = row_by_row({"even": bends_from_unit_cube, "uniform": _uniform}[law], robot, drawn[:, :-1])
+    bends = row_by_row({"even": verb(robot, "from_unit_cube"), "uniform": _uniform}[law], robot, drawn[:, :-1])
     return _of_bends(robot, bends)
 
 

@@ -14,11 +14,13 @@ from qjrl.robot.quaternion_arm import cables, coordinates, differential, kinemat
 from qjrl.robot.quaternion_arm.arm import QuaternionArm, arm_from_config
 from qjrl.robot.quaternion_arm.description import QuaternionArmConfig
 from qjrl.robot.quaternion_arm.drawing import DRAWING
+from qjrl.robot.quaternion_arm.interface import INTERFACE
 from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, vector_from_bend
 from qjrl.robot.quaternion_arm.minimal_engine import MinimalEngine
 from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
 from qjrl.robot.quaternion_arm.naming import cable_numbers, strand_name
 from qjrl.robot.quaternion_arm.particulars import PARTICULARS
+from qjrl.robot.quaternion_arm.tip import tip_poses
 from qjrl.robot.unit_hints import bend_hint
 
 
@@ -121,6 +123,7 @@ QUATERNION_ARM = Kind(
     to_coordinates=vectors_of_bends,
     from_coordinates=bends_of_vectors,
     tip=tip,
+    plain_poses=tip_poses,
     within_limits=within_limits,
     at_distance=sampling.bends_at_distance,
     cable_lengths=cables.cable_lengths,
@@ -141,6 +144,7 @@ QUATERNION_ARM = Kind(
     joint_positions=coordinates.joint_positions,
     configuration_from_joint_positions=coordinates.bends_from_joint_positions,
     drawing=DRAWING,
+    interface=INTERFACE,
     particulars=PARTICULARS,
     reach=straight_length,
     cable_names=cable_names,
