@@ -27,6 +27,26 @@ settings.register_profile("qjrl", deadline=None, suppress_health_check=[HealthCh
 settings.load_profile("qjrl")
 
 
+# Whole files that take longest, first: beside the last of the others none is left that runs alone.
+LONGEST = (
+    "stages/test_stages.py",
+    "control/test_policy_training.py",
+    "control/test_gymnasium_adapter.py",
+    "control/test_environment.py",
+    "deployment/test_export.py",
+    "control/test_planar_arm.py",
+    "control/test_arm_estimate.py",
+    "solvers/test_models_as_arguments.py",
+    "control/test_evaluation.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files first, the others in their order; `make test` has xdist keep it."""
+    places = {Path(__file__).parent / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(places)))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def compiled_programs_are_let_go():
     """Let compiled programs go before a process has as many memory mappings as Linux allows (65,530 by default).
