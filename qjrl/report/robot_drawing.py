@@ -86,7 +86,7 @@ def draw_robot(
 def _pedestal(radius: float, floor: float) -> Mesh:
     """A column from the base down to a floor [m]."""
     mesh = Mesh()
-    mesh.add(cylinder(Frame(), floor, 0.0, 0.75 * radius), "base")
+    mesh.add(cylinder(Frame(), floor, -0.5 * _FOOT_HEIGHT, 0.75 * radius), "base")  # below the base plate
     mesh.add(cylinder(Frame(), floor, floor + _FOOT_HEIGHT, 1.8 * radius), "base")
     return mesh
 
