@@ -17,7 +17,7 @@ from qjrl.robot.quaternion_arm.drawing import DRAWING
 from qjrl.robot.quaternion_arm.interface import INTERFACE
 from qjrl.robot.quaternion_arm.joint import bend_angle, bend_from_vector, vector_from_bend
 from qjrl.robot.quaternion_arm.minimal_engine import MinimalEngine
-from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
+from qjrl.robot.quaternion_arm.mjcf_ties import straight_length
 from qjrl.robot.quaternion_arm.naming import cable_numbers, strand_name
 from qjrl.robot.quaternion_arm.particulars import PARTICULARS
 from qjrl.robot.quaternion_arm.tip import tip_poses
@@ -91,12 +91,6 @@ def encoders(arm: QuaternionArm) -> tuple[int, ...]:
 def excess(arm: QuaternionArm, bends: jax.Array) -> jax.Array:
     """Of the joint that is bent furthest [rad]."""
     return jnp.max(jax.vmap(bend_angle)(bends)) - arm.stop
-
-
-def straight_length(arm: QuaternionArm) -> float:
-    """From the base to the tip of the straight arm [m]."""
-    config, height = arm.config, height_at_home(arm.config.joint)
-    return arm.num_joints * (height + config.link_length)
 
 
 def cable_names(arm: QuaternionArm) -> tuple[str, ...]:

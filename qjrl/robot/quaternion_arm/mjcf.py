@@ -18,6 +18,7 @@ from qjrl.robot.quaternion_arm.mjcf_ties import (
     add_measuring_sites,
     add_stops_and_heights,
     height_at_home,
+    straight_length,
 )
 from qjrl.robot.quaternion_arm.naming import joint_labels, leader, segment_of, strand_name
 from qjrl.robot.solver_options import SolverOptions
@@ -67,7 +68,7 @@ def _add_settings(root: ElementTree.Element, arm: QuaternionArm, options: Solver
         gravity=arm.config.mechanics.gravity,
     )
     add_element(option, "flag", contact="disable")
-    length = arm.num_joints * (height_at_home(arm.config.joint) + arm.config.link_length)
+    length = straight_length(arm)
     add_element(root, "statistic", extent=length, center=(0.0, 0.0, 0.5 * length))  # without the far sites of the stops
     visual = add_element(root, "visual")
     add_element(visual, "headlight", ambient="0.4 0.4 0.4", diffuse="0.7 0.7 0.7")

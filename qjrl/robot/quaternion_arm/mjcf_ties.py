@@ -39,6 +39,11 @@ def height_at_home(joint: JointConfig) -> float:
     return height_of_cosine(joint.crossed_link_length, joint.pin_distance, joint.plate_to_pin, 1.0)
 
 
+def straight_length(arm: QuaternionArm) -> float:
+    """From the base to the tip of the straight arm [m]."""
+    return arm.num_joints * (height_at_home(arm.config.joint) + arm.config.link_length)
+
+
 def add_measuring_sites(
     parent: ElementTree.Element,
     chord: ElementTree.Element,

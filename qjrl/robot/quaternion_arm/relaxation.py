@@ -14,7 +14,7 @@ from qjrl.robot.quaternion_arm.cables import cable_matrix
 from qjrl.robot.quaternion_arm.dynamics import hinge_stiffness
 from qjrl.robot.quaternion_arm.joint import height_of_cosine
 from qjrl.robot.quaternion_arm.mjcf import SLIDE_ARMATURE, build_mjcf
-from qjrl.robot.quaternion_arm.mjcf_ties import height_at_home
+from qjrl.robot.quaternion_arm.mjcf_ties import straight_length
 from qjrl.robot.solver_options import SolverOptions
 
 # Inertia of the masses at most, relative to the armatures'.
@@ -56,7 +56,7 @@ def _steepest_height(arm: QuaternionArm) -> float:
 
 def _light(arm: QuaternionArm, armature: float, scale: float) -> QuaternionArm:
     """The arm with an armature [kg m^2] that is multiplied by `scale` later, light masses and no damping."""
-    length = arm.num_joints * (height_at_home(arm.config.joint) + float(arm.link_length)) + float(arm.link_radius)
+    length = straight_length(arm) + float(arm.link_radius)
     mass = arm.num_joints * float(arm.joint_mass + arm.link_mass) + float(arm.payload)
     lightness = min(1.0, _LIGHT * armature / (2.0 * arm.num_joints * mass * length**2))  # all of it at the tip at most
     return dataclasses.replace(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from qjrl.report.tables import Column, Table
+from qjrl.robot.kinds import verb
 from qjrl.studies.workspace.dexterity import mean_over_volume
 from qjrl.studies.workspace.occupancy import Overlap, overlap
 from qjrl.studies.workspace.survey import ArmWorkspace, WorkspaceConfig
@@ -191,9 +192,7 @@ def arm_table(workspaces: Sequence[ArmWorkspace], factor: int) -> Table:
 
 def home_length(workspace: ArmWorkspace) -> float:
     """From the base to the tip of the straight arm [m]."""
-    joint, robot = workspace.robot.config.joint, workspace.robot
-    height = np.sqrt(joint.crossed_link_length**2 - joint.pin_distance**2) + 2.0 * joint.plate_to_pin
-    return robot.num_joints * float(height + robot.config.link_length)
+    return verb(workspace.robot, "reach")(workspace.robot)
 
 
 def _arm_metrics(config: WorkspaceConfig, one: ArmWorkspace) -> dict[str, Any]:
