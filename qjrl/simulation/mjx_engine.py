@@ -138,7 +138,8 @@ class MjxEngine:
             tip_inertia=tip.inertia,
         )
         physics = jax.tree.map(lambda values: jnp.asarray(values, jnp.float32), physics)
-        inertias = jax.vmap(partial(_inertias, self.plain))(physics)
+        # With x64 on, MJX derives float64 from float32; Warp's kernels take nothing but float32.
+        inertias = [rows.astype(jnp.float32) for rows in jax.vmap(partial(_inertias, self.plain))(physics)]
         return dataclasses.replace(physics, joint_inverse_inertia=inertias[0], tendon_inverse_inertia=inertias[1])
 
 

@@ -1,4 +1,5 @@
 import dataclasses
+import importlib.util
 
 import numpy as np
 import pytest
@@ -13,13 +14,17 @@ from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.mjx_engine import MjxEngine
 
 
+needs_warp = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="pip install 'qjrl[warp]'")
+
+
 @pytest.mark.slow
-def test_one_iteration_of_ppo_trains_in_mjx(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", ["mjx", pytest.param("mjx-warp", marks=needs_warp)])
+def test_one_iteration_of_ppo_trains_in_mjx(tmp_path, monkeypatch, kind):
     made, make = [], policy_training.residual_env
     monkeypatch.setattr(policy_training, "residual_env", lambda *parts: made.append(parts[-1]) or make(*parts))
     ppo = dataclasses.replace(PPO, num_steps=PPO.unroll_length * NUM_ENVS, checkpoint_every=1)
     config = dataclasses.replace(POLICY, ppo=ppo)
-    policy = train_policy(ARM, EngineConfig("mjx", 0.004), config, columns(), 0, tmp_path).policy
+    policy = train_policy(ARM, EngineConfig(kind, 0.004), config, columns(), 0, tmp_path).policy
     assert [type(engine) for engine in made] == [MjxEngine]
     before, after = load(tmp_path / "progress.jsonl")
     assert (after["iteration"], after["env_steps"], after["invalid"]) == (1, ppo.num_steps, 0)

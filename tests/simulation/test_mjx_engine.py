@@ -2,6 +2,7 @@
 
 import copy
 
+import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
@@ -11,7 +12,7 @@ from arms import altered, over_rows, random_bends
 from qjrl.robot import cable_lengths, joint_positions, robot_from_mapping, strand_commands
 from qjrl.robot.plant import PhysicalParameters
 from qjrl.simulation.engine import EngineConfig
-from qjrl.simulation.engines import make_stepper
+from qjrl.simulation.engines import make_engine, make_stepper
 from qjrl.simulation.payload import tip_body
 from qjrl.simulation.settle_problem import SettleConfig
 
@@ -57,6 +58,14 @@ def test_the_constants_derived_in_jax_are_those_of_c_mujoco(steppers):
         mujoco.mj_setConst(one, mujoco.MjData(one))
         np.testing.assert_allclose(physics.joint_inverse_inertia[index], one.dof_invweight0, rtol=1e-3)
         np.testing.assert_allclose(physics.tendon_inverse_inertia[index], one.tendon_invweight0, rtol=1e-3)
+
+
+def test_the_state_is_of_single_precision_whatever_the_process_uses():
+    """Warp's kernels refuse float64, and MJX would derive it."""
+    engine = make_engine(ARM, EngineConfig("mjx", TIMESTEP))
+    assert jax.config.jax_enable_x64
+    home = jax.eval_shape(engine.home, PARAMETERS)
+    assert {leaf.dtype for leaf in jax.tree.leaves(home.physics)} == {np.dtype("float32")}
 
 
 def test_mjx_begins_where_c_mujoco_does_and_moves_as_it_does(steppers):

@@ -53,14 +53,15 @@ def train(
         TrainingDiverged: too many invalid steps, or a loss that is not finite.
         ArtifactError: the directory holds another training.
     """
-    sizes, mesh, is_double = _sizes(config, env, num_envs), meshes.device_mesh(), jax.config.jax_enable_x64
+    mesh, is_double = meshes.device_mesh(), jax.config.jax_enable_x64
 
     def evaluated(policy: Policy) -> Mapping[str, float | None]:
         with jax.enable_x64(is_double):  # as the caller computes
             return evaluate(policy) if evaluate else {}
 
-    identity = artifacts.hash_of([as_mapping(config), [num_envs, env.action_size, observation_sizes(env)], seed])
-    with jax.enable_x64(False):
+    with jax.enable_x64(False):  # also around the look at the environment: Warp insists on float32
+        sizes = _sizes(config, env, num_envs)
+        identity = artifacts.hash_of([as_mapping(config), [num_envs, env.action_size, observation_sizes(env)], seed])
         plan = make_plan(env, config, num_envs, len(sizes), mesh)
         env = meshes.everywhere(mesh, env)
         programs = make_programs(plan)
