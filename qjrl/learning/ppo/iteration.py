@@ -44,10 +44,10 @@ class Plan:
 
     @functools.cached_property
     def networks(self) -> Any:
-        """Actor and critic."""
-        return make_networks(
-            self.config, {name: dict(self.sizes)[name] for name in (ACTOR_KEY, CRITIC_KEY)}, self.action_size
-        )
+        """Actor and critic. Kept, so their constants must not belong to the program that asks first."""
+        sizes = {name: dict(self.sizes)[name] for name in (ACTOR_KEY, CRITIC_KEY)}
+        with jax.ensure_compile_time_eval():
+            return make_networks(self.config, sizes, self.action_size)
 
 
 def make_plan(env: Env, config: PPOConfig, num_envs: int, num_iterations: int, mesh: Mesh) -> Plan:

@@ -56,6 +56,16 @@ def progress_without_times(directory):
     return [{k: v for k, v in record.items() if k not in TIMES} for record in load(directory / "progress.jsonl")]
 
 
+def test_one_process_trains_in_several_environments_with_the_same_plan(tmp_path):
+    """The programs of a plan are shared, and compiled again for an environment of another kind."""
+    config = dataclasses.replace(CONFIG, actor_layers=(9,), num_steps=4 * NUM_ENVS)  # a plan of its own
+    longer = dataclasses.replace(PROBE, length=5)
+    with jax.debug_key_reuse(False):  # which traces more often, and so hides what is kept from one trace to the next
+        for number, env in enumerate((PROBE, longer)):
+            train(tmp_path / str(number), env, config)
+    assert load(tmp_path / "1" / "progress.jsonl")[-1]["iteration"] == 1
+
+
 def interrupt_at(iteration):
     def callback(record):
         if record["iteration"] == iteration:
