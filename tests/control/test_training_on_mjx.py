@@ -13,7 +13,6 @@ from qjrl.learning.ppo.policy import deterministic_action
 from qjrl.simulation.engine import EngineConfig
 from qjrl.simulation.mjx_engine import MjxEngine
 
-
 needs_warp = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="pip install 'qjrl[warp]'")
 
 
