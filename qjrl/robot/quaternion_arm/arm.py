@@ -9,13 +9,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from flax import struct
-from jax.core import Tracer
 
 from qjrl.config import ConfigError, build
 from qjrl.field_words import show
 from qjrl.robot.kind import Robot
+from qjrl.robot.leaves import Number, described, leaves_of
 from qjrl.robot.quaternion_arm.description import JointConfig, QuaternionArmConfig
 from qjrl.robot.quaternion_arm.dimensions import check_dimensions
 
@@ -48,10 +47,7 @@ _PLACES = {
     "motor_force": "motors.force",
     "pulley_radius": "motors.pulley_radius",
 }
-
-
-# A plain number, an array, a batch of them, or what JAX puts in a tree's place.
-type Number = Any
+_NUM_AXES = {"gravity": 1, "hole_angles_deg": 2}
 
 
 @struct.dataclass
@@ -127,11 +123,8 @@ class QuaternionArm(Robot):
             ConfigError: they contradict each other, are those of a batch of arms, or are traced by JAX.
         """
         mapping: dict[str, Any] = {"kind": self.kind, "schema": 1, "name": self.name}
-        mapping |= {"joints_per_segment": self.joints_per_segment, "cables": {"names": self.cable_numbers}}
-        for leaf, place in _PLACES.items():
-            *section, key = place.split(".")
-            inner = mapping.setdefault(section[0], {}) if section else mapping
-            inner[key] = _plain(leaf, getattr(self, leaf))
+        mapping |= {"joints_per_segment": self.joints_per_segment} | described(self, _PLACES, _NUM_AXES)
+        mapping["cables"]["names"] = self.cable_numbers
         config = build(QuaternionArmConfig, mapping, "robot")
         if self.joint_model != _joint_model(config.joint):
             raise ConfigError(
@@ -192,7 +185,7 @@ def arm_from_config(config: QuaternionArmConfig) -> QuaternionArm:
     """
     check_dimensions(config)
     return QuaternionArm(
-        **{leaf: _leaf(functools.reduce(getattr, place.split("."), config)) for leaf, place in _PLACES.items()},
+        **leaves_of(config, _PLACES),
         name=config.name,
         joints_per_segment=config.joints_per_segment,
         cable_numbers=config.cables.names,
@@ -216,31 +209,3 @@ def require_arm(robot: Any, who: str) -> QuaternionArm:
 
 def _joint_model(joint: JointConfig) -> str:
     return "spherical" if joint.pin_distance == 0.0 and joint.plate_to_pin == 0.0 else "rolling"
-
-
-class _Exact(float):
-    """A plain number, which keeps its digits without double precision and can be cast as an array can."""
-
-    def astype(self, dtype: Any) -> jax.Array:
-        return jnp.asarray(float(self), dtype)
-
-
-def _leaf(value: Any) -> Any:
-    return None if value is None else np.array(value) if isinstance(value, tuple) else _Exact(value)
-
-
-def _plain(leaf: str, value: Any) -> Any:
-    """A leaf as the plain numbers of a description: the shortest that are the same in the leaf's precision."""
-    if value is None:
-        return None
-    if isinstance(value, Tracer):
-        raise ConfigError(
-            f"robot.{leaf}: got a value that JAX traces, allowed: a number, for the robot to be described"
-        )
-    array = np.asarray(value)
-    if array.ndim != (num_axes := {"gravity": 1, "hole_angles_deg": 2}.get(leaf, 0)):
-        raise ConfigError(
-            f"robot.{leaf}: got an array of shape {array.shape}, allowed: {num_axes} axes; take one robot of a batch"
-        )
-    numbers = [float(str(number)) for number in array.ravel()]
-    return numbers[0] if array.ndim == 0 else np.array(numbers).reshape(array.shape).tolist()
