@@ -12,7 +12,9 @@ from qjrl.robot import bends_from_angles, load_robot, robot_from_mapping
 from qjrl.robot.quaternion_arm.arm import QuaternionArm, require_arm
 from qjrl.robot.verbs import Robot
 
-SHIPPED = sorted(path.stem for path in (conf_folder() / "robot").glob("*.yaml"))
+SHIPPED = sorted(
+    path.stem for path in (conf_folder() / "robot").glob("*.yaml") if read_yaml(path)["kind"] == "quaternion_arm"
+)
 MADE_UP = ["rolling_312", "spherical_312"]
 ARMS = [*SHIPPED, *MADE_UP]
 

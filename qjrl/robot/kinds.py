@@ -5,10 +5,11 @@ from typing import Any
 
 from qjrl.config import ConfigError
 from qjrl.field_words import show
+from qjrl.robot.continuum_arm.kind import CONTINUUM_ARM
 from qjrl.robot.kind import Kind, Robot
 from qjrl.robot.quaternion_arm.kind import QUATERNION_ARM
 
-KINDS: dict[str, Kind] = {"quaternion_arm": QUATERNION_ARM}
+KINDS: dict[str, Kind] = {"quaternion_arm": QUATERNION_ARM, "continuum_arm": CONTINUUM_ARM}
 
 
 def require_robot(robot: Any) -> None:

@@ -4,12 +4,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from qjrl.robot.at_distance import scaled_to_distance
 from qjrl.robot.quaternion_arm.arm import QuaternionArm
 from qjrl.robot.quaternion_arm.joint import bends_from_angles
 from qjrl.robot.quaternion_arm.kinematics import forward_kinematics
 
-# Halvings of the scale of a direction in bend space: 1 / 2^40 of the limit.
-_BISECTIONS = 40
 # Planar angles are drawn up to this many limits.
 _BEYOND = 1.2
 
@@ -46,15 +45,6 @@ def bends_at_distance(arm: QuaternionArm, key: jax.Array, distance: Float[Array,
 
     Where the direction's longest feasible bends do not reach so far, those are returned.
     """
-    home = forward_kinematics(arm, jnp.zeros((arm.num_segments, 2)))[:3]
     direction = jax.random.normal(key, (arm.num_segments, 2))
     largest = direction * jnp.sin(arm.bend_limit / 2.0) / jnp.max(jnp.linalg.norm(direction, axis=1))
-
-    def halve(_, bounds):
-        low, high = bounds
-        middle = (low + high) / 2.0
-        is_short = jnp.linalg.norm(forward_kinematics(arm, middle * largest)[:3] - home) < distance
-        return jnp.where(is_short, middle, low), jnp.where(is_short, high, middle)
-
-    _, scale = jax.lax.fori_loop(0, _BISECTIONS, halve, (jnp.zeros(()), jnp.ones(())))
-    return scale * largest
+    return scaled_to_distance(lambda bends: forward_kinematics(arm, bends), largest, distance)
