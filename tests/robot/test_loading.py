@@ -178,7 +178,7 @@ def test_names_and_homes_of_robots(tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match=r"^robot\.name: got .*allowed: a text on one line") as error:
             robot_from_mapping(altered("qj_22", name=name))
         assert len(str(error.value)) < 200 and "\n" not in str(error.value)
-    with pytest.raises(ConfigError, match="known: qj_22, qj_2222,"):
+    with pytest.raises(ConfigError, match="known: continuum_4, qj_22, qj_2222,"):
         load_robot(tmp_path)
 
 

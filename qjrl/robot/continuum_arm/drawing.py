@@ -1,5 +1,7 @@
 """How the arm is drawn: its hose, its discs, its cables."""
 
+import itertools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,7 +31,7 @@ def arm_mesh(arm: ContinuumArm, bends: np.ndarray) -> Mesh:
     for segment, radius in enumerate(radii):
         below, above = ends[segment], ends[segment + 1]
         arc = points[segment * PIECES : (segment + 1) * PIECES + 1]
-        for start, end in zip(arc[:-1], arc[1:], strict=True):
+        for start, end in itertools.pairwise(arc):
             mesh.add(tube(start, end, HOSE_SHARE * radius, 10), f"link_{segment % 2}")
         mesh.add(cylinder(above, -DISC_THICKNESS, 0.0, 1.1 * radius), "plate")
         anchors = np.column_stack([radius * directions[segment], np.zeros(arm.cables_per_segment)])

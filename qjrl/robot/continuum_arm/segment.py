@@ -5,7 +5,6 @@ printed formulas are wrong and are mended here: Eq. 4 lacks the second argument 
 Eq. 11 prints cot(1/theta) for cot(theta/2), and the anchors of Eq. 2 run clockwise (`data/table1`, tests).
 """
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
