@@ -38,8 +38,8 @@ def fitted(tmp_path_factory):
     [
         ("configuration", "configuration", 0.1),  # the physics turns the joints
         ("configuration", "configuration_and_tip", 0.1),
-        ("split", "configuration_and_tip", 0.3),
-        ("body_twist", "configuration", 0.3),
+        ("split", "configuration_and_tip", 0.5),
+        ("body_twist", "configuration", 0.5),
         ("spatial_twist", "configuration", 0.5),  # mixes the turn with the lever arm
     ],
 )
@@ -65,11 +65,11 @@ def test_the_deviations_are_those_of_poses_drawn_from_the_answers(tmp_path):
     lengths = jnp.asarray(settled_rows()["cable_lengths"][40])
     estimated = pose_and_sigma(ARM, model)
     answer, variance = jax.jit(answer_and_variance)(estimated.mean, lengths)
-    drawn = answer + jnp.sqrt(variance) * np.random.default_rng(0).normal(size=(20_000, 6))
+    drawn = answer + jnp.sqrt(variance) * np.random.default_rng(0).normal(size=(4_000, 6))
     poses = jax.jit(jax.vmap(lambda one: corrected_pose(ARM, "body_twist", lengths, one)))(drawn)
     estimate = jax.jit(estimated)(lengths)
     spread = [np.sqrt(np.mean(error**2) / 3) for error in row_errors(poses, np.tile(estimate.pose, (len(poses), 1)))]
-    np.testing.assert_allclose([estimate.position_sigma, estimate.orientation_sigma], spread, rtol=0.02)
+    np.testing.assert_allclose([estimate.position_sigma, estimate.orientation_sigma], spread, rtol=0.03)
     np.testing.assert_allclose(estimate.pose, model_poses(pose_function(ARM, model), lengths[None])[0], atol=1e-12)
 
 
