@@ -33,35 +33,48 @@ def fitted(tmp_path_factory):
     return fit(tmp_path_factory.mktemp("process"))
 
 
-@pytest.mark.parametrize(
-    ("coding", "inputs", "share"),
-    [
-        ("configuration", "configuration", 0.1),  # the physics turns the joints
-        ("configuration", "configuration_and_tip", 0.1),
-        ("split", "configuration_and_tip", 0.5),
-        ("body_twist", "configuration", 0.5),
-        ("spatial_twist", "configuration", 0.5),  # mixes the turn with the lever arm
-    ],
-)
-def test_every_coding_improves_on_the_closed_form(tmp_path, coding, inputs, share):
-    model, metrics = fit(tmp_path, coding=coding, inputs=inputs)
+@pytest.fixture(scope="module")
+def few_own(tmp_path_factory):
+    settings = {"length_scales": "own", "kernel": "rational_quadratic", "max_rows": 25}
+    return fit(tmp_path_factory.mktemp("own"), **settings)
+
+
+@pytest.fixture(scope="module")
+def twists(tmp_path_factory):
+    return fit(tmp_path_factory.mktemp("twists"), coding="body_twist")
+
+
+def assert_improves(metrics, share):
     for name in ("median_mm", "median_deg"):
         assert metrics["held_out"][name] < share * metrics["nominal"][name]
-    assert model.process.inputs.shape == (metrics["rows"]["fitted"], 4 if inputs == "configuration" else 7)
     assert metrics["uncertainty"].keys() == {"position", "orientation", "outputs"}
 
 
-def test_rows_beyond_the_most_are_left_out_and_the_metrics_say_so(tmp_path, fitted):
-    model, metrics = fit(tmp_path, max_rows=20)
-    assert model.process.inputs.shape[0] == 20
-    assert metrics["rows"]["fitted"] == 20 and metrics["rows"]["beyond_max_rows"] == fitted[1]["rows"]["fitted"] - 20
+def test_a_corrected_configuration_improves_tenfold_on_the_closed_form(fitted):
+    model, metrics = fitted
+    assert_improves(metrics, 0.1)  # the physics turns the joints
+    assert model.process.inputs.shape == (metrics["rows"]["fitted"], 4)
+
+
+def test_a_corrected_pose_improves_twofold_in_every_coding(tmp_path, twists):
+    assert_improves(twists[1], 0.5)
+    for coding, inputs in (("split", "configuration_and_tip"), ("spatial_twist", "configuration")):
+        model, metrics = fit(tmp_path, coding=coding, inputs=inputs)
+        assert_improves(metrics, 0.5)
+        assert model.process.inputs.shape[1] == (4 if inputs == "configuration" else 7)
+
+
+def test_rows_beyond_the_most_are_left_out_and_the_metrics_say_so(few_own, fitted):
+    model, metrics = few_own
+    assert model.process.inputs.shape[0] == 25
+    assert metrics["rows"]["fitted"] == 25 and metrics["rows"]["beyond_max_rows"] == fitted[1]["rows"]["fitted"] - 25
     assert metrics["rows"].keys() == {"fitted", "held_out", "unsettled", "beyond_max_rows"}
     assert fitted[1]["rows"]["beyond_max_rows"] == 0
-    np.testing.assert_array_less(fitted[1]["held_out"]["median_mm"], metrics["held_out"]["median_mm"])
+    assert len(metrics["process"]["noise"]) == 4  # one a number of the configuration
 
 
-def test_the_deviations_are_those_of_poses_drawn_from_the_answers(tmp_path):
-    model, _ = fit(tmp_path, coding="body_twist", max_rows=15)  # few rows: deviations worth the name
+def test_the_deviations_are_those_of_poses_drawn_from_the_answers(twists):
+    model, _ = twists
     lengths = jnp.asarray(settled_rows()["cable_lengths"][40])
     estimated = pose_and_sigma(ARM, model)
     answer, variance = jax.jit(answer_and_variance)(estimated.mean, lengths)
@@ -88,9 +101,8 @@ def test_coverage_falls_where_the_process_is_too_sure(fitted):
         )
 
 
-@pytest.mark.parametrize("length_scales", ["shared", "own"])
-def test_a_saved_one_comes_back_bit_for_bit_with_its_deviations(tmp_path, length_scales):
-    model, _ = fit(tmp_path, length_scales=length_scales, kernel="rational_quadratic", max_rows=25)
+def test_a_saved_one_comes_back_bit_for_bit_with_its_deviations(tmp_path, few_own):
+    model, _ = few_own
     save_forward_model(tmp_path / "model", ARM, model)
     back = load_forward_model(tmp_path / "model", ARM)
     assert back.config == model.config
