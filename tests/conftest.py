@@ -10,6 +10,7 @@ from qjrl.cli.process import compilation_cache
 
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(compilation_cache()))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the command, before SciPy is imported
 
 import jax
 import jaxtyping

@@ -16,6 +16,8 @@ def prepare() -> None:
     """Environment variables and the log; the user's own settings stay."""
     os.environ["JAX_ENABLE_X64"] = "1"
     os.environ.setdefault("JAX_DEFAULT_MATMUL_PRECISION", "highest")
+    # SciPy's LAPACK on two threads takes 30 to 500 times as long beside other work, and little less than one on a free machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "xla_force_host_platform_device_count" not in os.environ.get(
         "XLA_FLAGS", ""
     ):  # training cuts its arms over them

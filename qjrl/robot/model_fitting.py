@@ -26,6 +26,7 @@ def fit_forward_model(robot: Robot, config: Any, data: Rows, seed: int, director
     train, held_out = settled_split(robot, data, config.held_out, seed)
     kind = MODEL_KINDS[config.kind]
     model, about = kind.fit(robot, config, (train, held_out), seed, directory)
+    left_out = about.pop("rows", {})
     metrics = {
         "kind": config.kind,
         "size": kind.size(model),
@@ -37,6 +38,7 @@ def fit_forward_model(robot: Robot, config: Any, data: Rows, seed: int, director
         "nominal": errors_of(robot, None, held_out),
         **about,
     }
+    metrics["rows"] |= left_out
     if "held_out" not in metrics:
         metrics["held_out"] = errors_of(robot, model, held_out)
     return model, metrics

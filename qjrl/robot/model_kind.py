@@ -36,7 +36,8 @@ class ModelKind:
     with that name as default, and `held_out`, the share of the rows that the fit never sees."""
     fit: Callable[[Robot, Any, tuple[Rows, Rows], int, Path], tuple[Any, dict[str, Any]]]
     """(robot, config, rows to fit and rows held out, all settled, seed, directory) -> fitted model, and what
-    `metrics.json` says of it. What it writes to the directory is its own; an interrupted fit may go on from it."""
+    `metrics.json` says of it; under `rows` what is otherwise of its rows, as where not all were fitted. What it writes to the
+    directory is its own; an interrupted fit may go on from it."""
     on_robot: Callable[[Robot, Any], PoseFunction]
     """(robot, fitted model) -> the pytree that is called with lengths and answers a pose in their precision; robot and fitted
     numbers are its leaves, and what is static in it says no more than the structure: models that agree in it share programs."""

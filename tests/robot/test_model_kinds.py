@@ -67,7 +67,7 @@ def test_its_configuration_is_read_by_its_name_and_the_network_is_meant_without_
 @pytest.mark.parametrize(
     ("forward_model", "line"),
     [
-        ({"kind": "rigde"}, r"forward_model\.kind: got 'rigde', allowed: one of network, ridge"),
+        ({"kind": "rigde"}, r"forward_model\.kind: got 'rigde', allowed: one of network, gaussian_process, ridge"),
         ({"kind": "ridge", "strenght": 1}, r"forward_model\.strenght: got 1, .*did you mean 'strength'"),
         ({"strength": 1}, r"forward_model\.strength: got 1, allowed with kind=ridge"),
         ({"kind": "ridge", "form": "paper"}, r"forward_model\.form: got 'paper', allowed with kind=network"),
@@ -121,7 +121,8 @@ def test_a_file_that_names_no_kind_holds_a_network_and_one_of_an_unknown_kind_is
     description["config"]["kind"] = "octopus"
     artifacts.write_json(tmp_path / "model.json", description)
     with pytest.raises(
-        ArtifactError, match=r"model\.json: config\.kind: got 'octopus', allowed: one of network, ridge"
+        ArtifactError,
+        match=r"model\.json: config\.kind: got 'octopus', allowed: one of network, gaussian_process, ridge",
     ):
         load_forward_model(tmp_path / "model", ARM)
 
