@@ -1,0 +1,1 @@
+"""The continuum arm: segments of an elastic rod that cables bend."""
