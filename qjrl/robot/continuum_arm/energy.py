@@ -97,37 +97,47 @@ def elastic_and_cable_energy(
     return elastic + 0.5 * jnp.sum(cables.stiffness * stretch**2, axis=0)
 
 
-def energy(plant: Plant, cables: Cables, modes: jax.Array, counts: Discretisation) -> jax.Array:
-    """(n,) of each arm [J]."""
-    shapes = shapes_of(plant, modes, counts)
-    chain = chain_of(plant, shapes)
-    weight = first_moments(plant, shapes, chain).dot(chain.gravity)[0]
-    parts = elastic_and_cable_energy(plant, cables, modes, cable_lengths(plant, shapes), counts)
-    return jnp.sum(parts, axis=0) - weight
+def energy_and_residual(
+    plant: Plant, cables: Cables, modes: jax.Array, counts: Discretisation
+) -> tuple[jax.Array, jax.Array]:
+    """Energy (n,) of each arm [J], and its slope by every mode (size, S, n) [J], which is zero at rest."""
+    chain = chain_of(plant, shapes_of(plant, modes, counts))
+    sloped = jax.grad(lambda moved: _under_load(plant, cables, chain, moved, counts), has_aux=True)
+    slope, moving = sloped(modes)
+    weight = moving.first_moments.dot(chain.gravity)[0]  # the first segment carries all the others
+    return jnp.sum(moving.own_energy, axis=0) - weight, slope
 
 
 def residual(plant: Plant, cables: Cables, modes: jax.Array, counts: Discretisation) -> jax.Array:
-    """Slope of the energy by every mode (size, S, n) [J]; zero at rest."""
-    chain = chain_of(plant, shapes_of(plant, modes, counts))
-    return jax.grad(lambda moved: _under_load(plant, cables, chain, moved, counts)[0])(modes)
+    """Slope of the energy by every mode (size, S, n) [J]."""
+    return energy_and_residual(plant, cables, modes, counts)[1]
+
+
+@struct.dataclass
+class _Moving:
+    """What moves with the modes."""
+
+    shapes: RodShape
+    first_moments: Vector
+    lengths: Any
+    own_energy: Any
+    """(S, n) of rods and cables."""
 
 
 def _under_load(
     plant: Plant, cables: Cables, chain: Chain, modes: jax.Array, counts: Discretisation
-) -> tuple[jax.Array, tuple[RodShape, Vector, Any]]:
-    """Energy of all segments, each under a load that does not move; and what moves with the modes."""
+) -> tuple[jax.Array, _Moving]:
+    """Energy of all segments of all arms, each under a load that does not move."""
     shapes = shapes_of(plant, modes, counts)
     moments, lengths = first_moments(plant, shapes, chain), cable_lengths(plant, shapes)
-    total = elastic_and_cable_energy(plant, cables, modes, lengths, counts) - moments.dot(chain.gravity)
-    return jnp.sum(total), (shapes, moments, lengths)
+    own = elastic_and_cable_energy(plant, cables, modes, lengths, counts)
+    return jnp.sum(own - moments.dot(chain.gravity)), _Moving(shapes, moments, lengths, own)
 
 
 @struct.dataclass
 class Curvature:
     """Second derivatives of the energy by the modes, and what they are made of."""
 
-    residual: jax.Array
-    """(size, S, n)."""
     blocks: jax.Array
     """(size, size, S, n) of each segment alone."""
     lever: Vector
@@ -149,12 +159,14 @@ def curvature_of(plant: Plant, cables: Cables, modes: jax.Array, counts: Discret
     def along(direction: jax.Array) -> Any:
         return jax.jvp(sloped, (modes,), (jnp.broadcast_to(direction, modes.shape),))
 
-    (slope, (shapes, _, lengths)), (blocks, (shape_slopes, swing, length_slopes)) = jax.vmap(along, out_axes=(None, 0))(
-        directions
-    )
-    turned = chain.base.times(_spin(shapes.rotation, shape_slopes.rotation))
+    (_, moving), (blocks, slopes) = jax.vmap(along, out_axes=(None, 0))(directions)
+    turned = chain.base.times(_spin(moving.shapes.rotation, slopes.shapes.rotation))
     return Curvature(
-        slope, blocks, Vector(*plant.gravity).cross(turned), chain.base.times(swing), lengths, length_slopes
+        blocks=blocks,
+        lever=Vector(*plant.gravity).cross(turned),
+        swing=chain.base.times(slopes.first_moments),
+        lengths=moving.lengths,
+        length_slopes=slopes.lengths,
     )
 
 

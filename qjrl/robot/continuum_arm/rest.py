@@ -18,7 +18,7 @@ from qjrl.robot.continuum_arm.energy import (
     Curvature,
     chain_of,
     curvature_of,
-    energy,
+    energy_and_residual,
     residual,
     shapes_of,
 )
@@ -37,9 +37,10 @@ from qjrl.xla_options import jit_of_chains
 LARGEST_RESIDUAL = 1e-6
 """Largest slope of the energy by any mode at which an arm counts as at rest [N m]."""
 _SOUGHT_RESIDUAL = 1e-10
-_MOST_STEPS = 60
+_MOST_TRIES = 100
 _LARGEST_STEP = 0.6
-_SHARES = (1.0, 0.4, 0.1, 0.01)
+_SHORTER = 0.3
+_GOOD_SHARE = 0.1
 # What the energy may rise by in a step that is all rounding, as a share of the energy.
 _ROUNDING = 1e-13
 
@@ -74,12 +75,12 @@ def rest(
     Args:
         commands: length of each cable relative to home [m], + pays out.
     """
-    modes = _modes_at_rest(counts, plant, commands, previous)
+    modes, slope = _modes_at_rest(counts, plant, commands, previous)
+    found = _largest(slope)
     cables = cables_of(plant, commands, previous)
     shapes = shapes_of(plant, modes, counts)
     chain = chain_of(plant, shapes)
     frame = chain.tip_rotation.product(rotation_by(Vector(*plant.tip_rotation)))
-    found = jnp.max(jnp.abs(residual(plant, cables, modes, counts)), axis=(0, 1))
     return Rest(
         pose=jnp.stack(jax.tree.leaves((chain.tip, frame.x, frame.y)), axis=1),
         tension=cable_tensions(plant, cables, cable_lengths(plant, shapes)).transpose(2, 1, 0),
@@ -94,8 +95,10 @@ compiled_rest = jit_of_chains(rest, static_argnums=3)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _modes_at_rest(counts: Discretisation, plant: Plant, commands: jax.Array, previous: jax.Array) -> jax.Array:
-    """(size, S, n)."""
+def _modes_at_rest(
+    counts: Discretisation, plant: Plant, commands: jax.Array, previous: jax.Array
+) -> tuple[jax.Array, jax.Array]:
+    """Modes, and the slope of the energy by them, both (size, S, n)."""
     cables = cables_of(plant, commands, previous)
     bends = nominal_bends(plant, commands)
     start = jnp.zeros((counts.size, *bends.shape[1::-1]), bends.dtype)
@@ -104,9 +107,9 @@ def _modes_at_rest(counts: Discretisation, plant: Plant, commands: jax.Array, pr
 
 
 @_modes_at_rest.defjvp
-def _modes_at_rest_jvp(counts: Discretisation, primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
+def _modes_at_rest_jvp(counts: Discretisation, primals: Any, tangents: Any) -> Any:
     """The residual stays zero: its change by the arguments is made up by the modes."""
-    modes = _modes_at_rest(counts, *primals)
+    modes, slope = _modes_at_rest(counts, *primals)
 
     def at_modes(plant: Plant, commands: jax.Array, previous: jax.Array) -> jax.Array:
         return residual(plant, cables_of(plant, commands, previous), modes, counts)
@@ -114,7 +117,7 @@ def _modes_at_rest_jvp(counts: Discretisation, primals: Any, tangents: Any) -> t
     _, change = jax.jvp(at_modes, primals, tangents)
     plant = primals[0]
     matrix = _matrix(curvature_of(plant, cables_of(*primals), modes, counts))
-    return modes, _solved(jnp.linalg.cholesky(matrix), -change)
+    return (modes, slope), (_solved(jnp.linalg.cholesky(matrix), -change), jnp.zeros_like(slope))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,48 +128,86 @@ class _Problem:
     cables: Cables
     counts: Discretisation
 
-    def energy(self, modes: jax.Array) -> jax.Array:
-        return energy(self.plant, self.cables, modes, self.counts)
+
+@struct.dataclass
+class _Search:
+    """A search under way, every row at the lowest place that it has found."""
+
+    modes: jax.Array
+    """(size, S, n)."""
+    energy: jax.Array
+    """(n,) there."""
+    residual: jax.Array
+    """(size, S, n) there."""
+    share: jax.Array
+    """(n,) of its step that a row goes next."""
+    factor: jax.Array
+    """(n, S size, S size) Cholesky factor of the second derivatives, there or at an earlier place."""
+    is_stale: jax.Array
+    """() whether the next step needs a new factor."""
+    tries: jax.Array
+    """() number of steps tried."""
 
 
-def _search(plant: Plant, cables: Cables, start: jax.Array, counts: Discretisation) -> jax.Array:
+def _search(plant: Plant, cables: Cables, start: jax.Array, counts: Discretisation) -> tuple[jax.Array, jax.Array]:
+    """Modes and residuals (size, S, n) when all rows rest, or after many tries."""
     problem = _Problem(plant, cables, counts)
+    size, num_segments, rows = start.shape
+    unknowns = size * num_segments
 
-    def is_unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-        _, largest, step = state
-        return (step < _MOST_STEPS) & ~jnp.all(largest <= _SOUGHT_RESIDUAL)
+    def is_unfinished(search: _Search) -> jax.Array:
+        return (search.tries < _MOST_TRIES) & ~jnp.all(_largest(search.residual) <= _SOUGHT_RESIDUAL)
 
-    def advance(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-        modes, _, step = state
-        curvature = curvature_of(plant, cables, modes, counts)
-        moved = _moved(problem, modes, _direction(problem, curvature))
-        return moved, jnp.max(jnp.abs(curvature.residual), axis=(0, 1)), step + 1
-
-    largest = jnp.full(start.shape[2], jnp.inf, start.dtype)
-    return jax.lax.while_loop(is_unfinished, advance, (start, largest, 0))[0]
-
-
-def _moved(problem: _Problem, modes: jax.Array, direction: jax.Array) -> jax.Array:
-    """The best of a few shares of a step; the whole step where none lowers the energy by more than rounding."""
-    size = jnp.max(jnp.abs(direction), axis=(0, 1))
-    direction = direction * jnp.minimum(1.0, _LARGEST_STEP / jnp.maximum(size, _LARGEST_STEP))
-    shares = jnp.array((0.0, *_SHARES))
-    energies = jax.vmap(lambda share: problem.energy(modes + share * direction))(shares)
-    rise = energies[1:] - energies[0]
-    is_better = rise <= _ROUNDING * jnp.abs(energies[0])
-    first = jnp.where(is_better[0], 0, jnp.argmin(jnp.where(jnp.isnan(rise), jnp.inf, rise), axis=0))
-    return modes + shares[1:][first] * direction
+    begun = _Search(
+        modes=start,
+        energy=jnp.full(rows, jnp.inf, start.dtype),
+        residual=jnp.full(start.shape, jnp.inf, start.dtype),
+        share=jnp.zeros(rows, start.dtype),  # the first try is the start itself
+        factor=jnp.broadcast_to(jnp.eye(unknowns, dtype=start.dtype), (rows, unknowns, unknowns)),
+        is_stale=jnp.array(False),
+        tries=jnp.array(0),
+    )
+    found = jax.lax.while_loop(is_unfinished, lambda search: _tried(problem, search), begun)
+    return found.modes, found.residual
 
 
-def _direction(problem: _Problem, curvature: Curvature) -> jax.Array:
-    """Newton's step (size, S, n), or that of each segment by itself where the energy is curved the wrong way."""
+def _tried(problem: _Problem, search: _Search) -> _Search:
+    """After one more try. A factor serves as long as each step with it makes every residual ten times smaller."""
+    plant, cables, counts = problem.plant, problem.cables, problem.counts
+    factor = jax.lax.cond(
+        search.is_stale, lambda: _factor(problem, curvature_of(plant, cables, search.modes, counts)), lambda: search.factor
+    )
+    step = _solved(factor, -search.residual)
+    bound = jnp.minimum(1.0, _LARGEST_STEP / jnp.maximum(_largest(step), _LARGEST_STEP))
+    modes = search.modes + jnp.where(search.share > 0.0, search.share * bound * step, 0.0)
+    reached, slope = energy_and_residual(plant, cables, modes, counts)
+    is_lower = reached <= search.energy + _ROUNDING * jnp.abs(reached)
+    is_slow = (_largest(slope) > _SOUGHT_RESIDUAL) & ~(_largest(slope) <= _GOOD_SHARE * _largest(search.residual))
+    return _Search(
+        modes=jnp.where(is_lower, modes, search.modes),
+        energy=jnp.where(is_lower, reached, search.energy),
+        residual=jnp.where(is_lower, slope, search.residual),
+        share=jnp.where(is_lower, 1.0, _SHORTER * search.share),
+        factor=factor,
+        is_stale=jnp.any(is_slow) | (search.tries == 0),
+        tries=search.tries + 1,
+    )
+
+
+def _largest(values: jax.Array) -> jax.Array:
+    """(n,) of (size, S, n)."""
+    return jnp.max(jnp.abs(values), axis=(0, 1))
+
+
+def _factor(problem: _Problem, curvature: Curvature) -> jax.Array:
+    """Of all second derivatives, or of each segment's own stiffness where the energy is curved the wrong way."""
     lower = jnp.linalg.cholesky(_matrix(curvature))
     is_wrong = jnp.any(jnp.isnan(lower), axis=(1, 2))
 
     def mended() -> jax.Array:
         return jnp.where(is_wrong[:, None, None], jnp.linalg.cholesky(_stiff_matrix(problem, curvature)), lower)
 
-    return _solved(jax.lax.cond(jnp.any(is_wrong), mended, lambda: lower), -curvature.residual)
+    return jax.lax.cond(jnp.any(is_wrong), mended, lambda: lower)
 
 
 def _matrix(curvature: Curvature) -> jax.Array:

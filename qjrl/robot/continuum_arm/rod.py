@@ -134,14 +134,27 @@ def rotation_by(turn: Vector) -> Matrix:
 
 def _series(squared: Any, first: int) -> Any:
     """1/first! - x/(first + 2)! + x^2/(first + 4)! - ..., smooth at x = 0 with all its slopes."""
-    value, *others = [(-1) ** number / math.factorial(first + 2 * number) for number in reversed(range(_TERMS))]
-    for coefficient in others:
-        value = coefficient + squared * value
-    return value
+    return _polynomial(tuple((-1) ** number / math.factorial(first + 2 * number) for number in range(_TERMS)), squared)
 
 
 # Enough for full double precision up to a turn of 1.5 rad.
 _TERMS = 9
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _polynomial(coefficients: tuple[float, ...], x: Any) -> Any:
+    """Of rising powers. Its slope is one polynomial and one product, where that of Horner's rule is three operations a term."""
+    value, *others = reversed(coefficients)
+    for coefficient in others:
+        value = coefficient + x * value
+    return value
+
+
+@_polynomial.defjvp
+def _polynomial_jvp(coefficients: tuple[float, ...], primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
+    (x,), (change,) = primals, tangents
+    derived = tuple(number * coefficient for number, coefficient in enumerate(coefficients))[1:]
+    return _polynomial(coefficients, x), _polynomial(derived, x) * change
 
 
 def elastic_energy(modes: jax.Array, rest_bends: Any, stiffness: "RodStiffness", counts: Discretisation) -> jax.Array:
