@@ -75,7 +75,7 @@ def masses_beyond(plant: Plant) -> Any:
 
 def _weighed(plant: Plant, number: int) -> Vector:
     """First moment of the disc at a segment's end, in its frame."""
-    return Vector(0.0, 0.0, -plant.disc_mass[number] * plant.disc_depth)
+    return Vector(0.0, 0.0, -plant.disc_mass[number] * plant.disc_depth[number])
 
 
 def _first_moment(shape: RodShape, beyond: Vector, mass_beyond: Any, hose_mass: Any) -> Vector:

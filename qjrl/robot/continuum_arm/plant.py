@@ -38,7 +38,7 @@ class Plant:
     payload: Any
     """() behind the last disc [kg]."""
     disc_depth: Any
-    """() from a segment's end back to its disc's centre of mass [m]."""
+    """(S,) from a segment's end back to its disc's centre of mass [m]."""
     payload_height: Any
     """() from the last segment's end on to the payload's centre of mass [m]."""
     lower_anchors: Any
@@ -122,7 +122,7 @@ def nominal_plant(
         disc_mass=each(disc_mass),
         hose_mass=each(hose_mass),
         payload=number(payload),
-        disc_depth=number(0.005),
+        disc_depth=each(0.005),
         payload_height=number(0.02),
         lower_anchors=anchors,
         upper_anchors=anchors.copy(),

@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from qjrl.geometry.vectors import Vector
 from qjrl.robot.continuum_arm.energy import (
@@ -49,16 +49,16 @@ _ROUNDING = 1e-13
 class Rest:
     """Arms at rest, one row each."""
 
-    pose: Float[Array, "n 9"]
-    """Of the measured tip: position [m], two columns of the rotation."""
-    tension: Float[Array, "n S C"]
-    """Of the cables of each segment [N]."""
-    modes: Float[Array, "n S size"]
-    """Of each rod, in the order of `Discretisation.size`."""
-    residual: Float[Array, "n"]
-    """Largest slope of the energy by any mode [N m]."""
-    converged: Bool[Array, "n"]
-    """Whether the residual is at most `LARGEST_RESIDUAL`."""
+    pose: Any
+    """(n, 9) of the measured tip: position [m], two columns of the rotation."""
+    tension: Any
+    """(n, S, C) of the cables of each segment [N]."""
+    modes: Any
+    """(n, S, size) of each rod, in the order of `Discretisation.size`."""
+    residual: Any
+    """(n,) largest slope of the energy by any mode [N m]."""
+    converged: Any
+    """(n,) whether the residual is at most `LARGEST_RESIDUAL`."""
 
 
 def rest(

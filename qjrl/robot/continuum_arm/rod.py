@@ -10,6 +10,7 @@ import math
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
@@ -59,28 +60,38 @@ def rod_shape(modes: jax.Array, length: Any, counts: Discretisation) -> RodShape
         modes: (counts.size, *batch), in the order of `Discretisation.size`.
         length: (*batch) of the rod without load [m].
     """
-    pieces = _pieces(modes, length, counts)
-    for _ in range(math.ceil(math.log2(counts.steps))):
-        pieces = _joined_by_twos(pieces)
-    ((_, shape),) = pieces
-    return shape
+    shapes = _pieces(modes, length, counts)
+    shares = np.full(counts.steps, 1.0 / counts.steps)
+    while len(shares) > 1:
+        shares, shapes = _joined_by_twos(shares, shapes)
+    return _part(shapes, 0)
 
 
-def _joined_by_twos(pieces: list[tuple[float, RodShape]]) -> list[tuple[float, RodShape]]:
-    joined = [_joined(*pair) for pair in zip(pieces[::2], pieces[1::2], strict=False)]
-    return joined + pieces[2 * len(joined) :]
+def _part(shapes: RodShape, places: Any) -> RodShape:
+    return jax.tree.map(lambda values: values[places], shapes)
 
 
-def _joined(near: tuple[float, RodShape], far: tuple[float, RodShape]) -> tuple[float, RodShape]:
-    """Two pieces (share of the rod, shape), the far one at the end of the near one."""
-    (near_share, one), (far_share, other) = near, far
-    end = one.end + one.rotation.times(other.end)
-    moment = one.first_moment + one.end.scaled(far_share) + one.rotation.times(other.first_moment)
-    return near_share + far_share, RodShape(end, one.rotation.product(other.rotation), moment)
+def _joined_by_twos(shares: np.ndarray, shapes: RodShape) -> tuple[np.ndarray, RodShape]:
+    """Every second piece at the end of the one before it; a last odd one stays. Pieces are the first axis."""
+    even = len(shares) // 2 * 2
+    near, far = slice(0, even, 2), slice(1, even, 2)
+    far_shares = shares[far].reshape(-1, *[1] * (jnp.ndim(shapes.end.x) - 1))
+    joined = _joined(_part(shapes, near), _part(shapes, far), far_shares)
+    if even < len(shares):
+        rest = _part(shapes, slice(even, None))
+        joined = jax.tree.map(lambda *values: jnp.concatenate(values), joined, rest)
+    return np.append(shares[near] + shares[far], shares[even:]), joined
 
 
-def _pieces(modes: jax.Array, length: Any, counts: Discretisation) -> list[tuple[float, RodShape]]:
-    """Of every step, in order: its share of the rod, and its shape in its own frame."""
+def _joined(near: RodShape, far: RodShape, far_share: Any) -> RodShape:
+    """Two pieces, the far one, of `far_share` of the rod, at the end of the near one."""
+    end = near.end + near.rotation.times(far.end)
+    moment = near.first_moment + near.end.scaled(far_share) + near.rotation.times(far.first_moment)
+    return RodShape(end, near.rotation.product(far.rotation), moment)
+
+
+def _pieces(modes: jax.Array, length: Any, counts: Discretisation) -> RodShape:
+    """The shape of each step in its own frame; steps are the first axis."""
     step = 1.0 / counts.steps
     middles = (np.arange(counts.steps) + 0.5) * step
     half_width = step / math.sqrt(12.0)
@@ -90,8 +101,7 @@ def _pieces(modes: jax.Array, length: Any, counts: Discretisation) -> list[tuple
     turn = (turn_1 + turn_2).scaled(step / 2.0) + turn_1.cross(turn_2).scaled(commutator)
     twisted = turn_1.cross(pull_2) - turn_2.cross(pull_1)
     pull = (pull_1 + pull_2).scaled(step / 2.0) + twisted.scaled(commutator)
-    shapes = _exponential(turn, pull, step)
-    return [(step, jax.tree.map(lambda values: values[number], shapes)) for number in range(counts.steps)]
+    return _exponential(turn, pull, step)
 
 
 def _strains(modes: jax.Array, length: Any, places: np.ndarray, counts: Discretisation) -> tuple[Vector, Vector]:
