@@ -24,6 +24,11 @@ Purpose = Literal[
     "fresh poses of the pretension",
     "rows of the parity check",
     "members of an ensemble",
+    "anchors of a continuum arm",
+    "home lengths of a continuum arm",
+    "cable gains of a continuum arm",
+    "tip frame of a continuum arm",
+    "preset bends of a continuum arm",
 ]
 PURPOSES: tuple[Purpose, ...] = get_args(Purpose)
 _SMALLEST = 1 << 24
