@@ -24,6 +24,7 @@ Purpose = Literal[
     "fresh poses of the pretension",
     "rows of the parity check",
     "members of an ensemble",
+    "noise of the measured poses",
     "anchors of a continuum arm",
     "home lengths of a continuum arm",
     "cable gains of a continuum arm",

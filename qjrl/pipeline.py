@@ -273,8 +273,15 @@ def build_configs(tree: Mapping[str, Any], names: Iterable[str] | None = None) -
         from qjrl.robot import robot_from_mapping
 
         robot_from_mapping(tree[ROBOT])
-    for config in configs.values():
+    for name, config in configs.items():
         _ = config.robot_hash  # raises for a robot that no stage can work on
+        if (need := config.lacks) is not None:
+            able = [other for other in configs if configs[other].lacks is None]
+            kind = tree[ROBOT]["kind"]
+            raise ConfigError(
+                f"robot: got the kind {kind}, which offers no {need}, allowed: one that does, for stage {name}"
+                f"{'; run stages=[' + ','.join(able) + ']' if able else ''}"
+            )
         config.check()
     return configs
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import ClassVar
 
 
 @dataclasses.dataclass(frozen=True)
@@ -14,6 +15,11 @@ class StageConfig:
     @property
     def robot_hash(self) -> str | None:
         """Of the robots that the stage works on, whose ConfigErrors it raises; None: it works on none."""
+        return None
+
+    @property
+    def lacks(self) -> str | None:
+        """What the stage needs of its robot, and robots of that kind do not offer; None: nothing."""
         return None
 
     @property
@@ -53,9 +59,21 @@ class RobotStageConfig(StageConfig):
     robot: dict
     """The description of the robot as plain values."""
 
+    needs: ClassVar[tuple[str, ...]] = ()
+    """What the robot's kind must offer for the stage to run: fields of `qjrl.robot.kind.Kind`."""
+
     @property
     def robot_hash(self) -> str | None:
         """Of that robot."""
         from qjrl.robot import robot_from_mapping, robot_hash
 
         return robot_hash(robot_from_mapping(self.robot))
+
+    @property
+    def lacks(self) -> str | None:
+        """The first of its needs that the robot's kind does not offer."""
+        from qjrl.robot import robot_from_mapping
+        from qjrl.robot.kinds import kind_of
+
+        kind = kind_of(robot_from_mapping(self.robot))
+        return next((need for need in self.needs if getattr(kind, need) is None), None)

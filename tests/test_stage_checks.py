@@ -44,6 +44,21 @@ def test_a_combination_and_a_file_stop_only_the_stages_that_use_them(override, r
                 pipeline.build_configs(tree, stages)
 
 
+@pytest.mark.parametrize(
+    ("stage", "need"),
+    [("policy", "build_mjcf"), ("compare", "build_mjcf"), ("export", "interface"), ("pretension", "at_pretension")],
+)
+def test_a_kind_of_robot_stops_only_the_stages_that_need_more_than_it_offers(stage, need) -> None:
+    tree = tree_of("robot=continuum_4")
+    able = ["sample", "forward_model", "ik"]
+    pipeline.build_configs(tree, ["describe", *able])
+    message = rf"^robot: got the kind continuum_arm, which offers no {need}, allowed: one that does, for stage {stage}"
+    with pytest.raises(ConfigError, match=message + r"; run stages=\[sample,forward_model,ik\]$"):
+        pipeline.build_configs(tree, [*able, stage])
+    with pytest.raises(ConfigError, match=message + "$"):
+        pipeline.build_configs(tree, [stage])
+
+
 def test_a_value_that_no_stage_allows_stops_all() -> None:
     for override in ("track.speed=-1", "policy.num_envs=x", "robot.link_length=-1", "+workspace.new=1"):
         tree = tree_of(override)

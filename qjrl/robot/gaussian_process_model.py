@@ -45,7 +45,8 @@ class GaussianProcessModelConfig(ProcessConfig):
     inputs: Literal["configuration", "configuration_and_tip"] = "configuration"
     """What goes in: the nominal configuration of the cables, with or without the nominal position of the tip."""
     coding: Literal["configuration"] | PoseCoding = "configuration"
-    """What comes out: the correction of the configuration, or that of the pose in the codings of `pose_coding`."""
+    """What comes out: the correction of the configuration, or that of the pose in the codings of `pose_coding`; "configuration"
+    is "split" for robots that do not sense theirs."""
     max_rows: Annotated[int, Range(10, 5000)] = 2000
     """Rows that the fit uses, the first of those not held out: time grows with their cube, memory with their square."""
     held_out: Annotated[float, Range(above=0.0, high=0.5)] = 0.1
@@ -201,20 +202,29 @@ def _about(process: GaussianProcess, reports: list[FitReport]) -> dict[str, Any]
     return found | told
 
 
-def to_arrays(model: GaussianProcessModel) -> dict[str, Any]:
+def process_to_arrays(process: GaussianProcess) -> dict[str, Any]:
     """Rows, weights, hyperparameters and scaling; no Cholesky factor."""
-    process = model.process
     nested = {name: vars(getattr(process, name)) for name in ("hyperparameters", "scaling")}
     return jax.tree.map(np.asarray, {name: nested.get(name, getattr(process, name)) for name in NAMES})
 
 
-def from_arrays(config: GaussianProcessModelConfig, arrays: Mapping[str, Any]) -> GaussianProcessModel:
-    """The model of what `to_arrays` gave."""
+def process_from_arrays(kernel: str, arrays: Mapping[str, Any]) -> GaussianProcess:
+    """The process of what `process_to_arrays` gave."""
     hyperparameters, scaling = Hyperparameters(**arrays["hyperparameters"]), Scaling(**arrays["scaling"])
     inputs, targets, weights = (arrays[name] for name in ("inputs", "targets", "weights"))
-    factors = posterior.factors_of(config.kernel, hyperparameters, inputs)
-    process = GaussianProcess(inputs, targets, weights, factors, hyperparameters, scaling, config.kernel)
-    return GaussianProcessModel(jax.tree.map(jnp.asarray, process), config)
+    factors = posterior.factors_of(kernel, hyperparameters, inputs)
+    process = GaussianProcess(inputs, targets, weights, factors, hyperparameters, scaling, kernel)
+    return jax.tree.map(jnp.asarray, process)
+
+
+def to_arrays(model: GaussianProcessModel) -> dict[str, Any]:
+    """Those of its process."""
+    return process_to_arrays(model.process)
+
+
+def from_arrays(config: GaussianProcessModelConfig, arrays: Mapping[str, Any]) -> GaussianProcessModel:
+    """The model of what `to_arrays` gave."""
+    return GaussianProcessModel(process_from_arrays(config.kernel, arrays), config)
 
 
 GAUSSIAN_PROCESS = ModelKind(

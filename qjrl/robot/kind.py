@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import jax
 
+from qjrl.robot.at_rest import AtRest
 from qjrl.robot.drawing import Drawing
 from qjrl.robot.interface import Interface
 from qjrl.robot.limits import Limits
@@ -49,7 +50,7 @@ class Robot:
 
 
 # Fields of a kind that are no functions of a robot.
-_NO_VERBS = ("description", "make", "check", "configuration_name")
+_NO_VERBS = ("description", "make", "check", "configuration_name", "senses_configuration")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +84,8 @@ class Kind:
     """(robot, key) -> configuration within the limits: for test poses and for starts."""
     configuration_name: str = "configuration"
     """What the columns of data sets call a configuration."""
+    senses_configuration: bool = True
+    """Whether encoders tell a configuration, so that data sets hold it and models may learn its correction."""
     check: Callable[..., None] | None = None
     """(robot, configurations (n, ...), on the host, their name) raises a ConfigError where no robot of this kind can have one."""
     to_coordinates: Callable[..., jax.Array] | None = None
@@ -113,6 +116,11 @@ class Kind:
     """(robot, cable lengths) -> where it rests and what would move it from there."""
     at_pretension: Callable[..., Robot] | None = None
     """(robot, tension of the strands at home [N]) -> the robot with it."""
+    rest: Callable[..., AtRest] | None = None
+    """(robot, cable lengths (n, num_cables), those held before them), on the host -> where it rests by statics of its own: a
+    simulated robot, whose hidden defects no model sees. None: MuJoCo settles it."""
+    measured: Callable[..., jax.Array] | None = None
+    """(robot, key, pose) -> the pose as it is measured, with noise; None: exactly."""
     strand_tension: Callable[..., jax.Array] | None = None
     """(robot, cable lengths, steps) -> tension of the strands at rest (num_strands,) [N]."""
     encoders: Callable[..., tuple[int, ...]] | None = None

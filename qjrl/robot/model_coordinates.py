@@ -5,6 +5,8 @@ comes out (what joint encoders measure), and the closed-form kinematics makes th
 friction bend the joints; the links stay rigid, so nothing is lost, and a model learns eight small smooth numbers of the
 quaternion-joint arm instead of its whole kinematics. A third form lies between the two, to tell what comes in from what
 goes out: scaled lengths go in, the correction comes out.
+
+Where a kind of robot does not sense its configuration, the correction is that of the nominal pose: shift and rotation vector.
 """
 
 from collections.abc import Mapping
@@ -15,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.robot.kinds import kind_of, num_coordinates
+from qjrl.robot.pose_coding import decode, encode
 from qjrl.robot.verbs import Robot, cable_strokes, configuration_from_cables, forward_kinematics
 
 Form = Literal["paper", "corrected_from_lengths", "corrected"]
@@ -36,12 +39,16 @@ def model_pose(robot: Robot, form: str, lengths: jax.Array, answer: jax.Array) -
     if form == "paper":
         return answer
     nominal = configuration_from_cables(robot, lengths)
+    if not kind_of(robot).senses_configuration:
+        return decode(_CODING, forward_kinematics(robot, nominal), answer)
     return forward_kinematics(robot, nominal + answer.reshape(nominal.shape))
 
 
 def num_answers(robot: Robot, form: str) -> int:
     """How many numbers the model answers."""
-    return 9 if form == "paper" else num_coordinates(robot)
+    if form == "paper":
+        return 9
+    return num_coordinates(robot) if kind_of(robot).senses_configuration else 6
 
 
 def model_targets(robot: Robot, form: str, data: Rows) -> jax.Array:
@@ -49,4 +56,15 @@ def model_targets(robot: Robot, form: str, data: Rows) -> jax.Array:
     if form == "paper":
         return jnp.asarray(data["pose"])
     nominal = jax.vmap(lambda lengths: configuration_from_cables(robot, lengths))(jnp.asarray(data["cable_lengths"]))
+    if not kind_of(robot).senses_configuration:
+        return _lacking(robot, nominal, jnp.asarray(data["pose"]))
     return (jnp.asarray(data[kind_of(robot).configuration_name]) - nominal).reshape(len(nominal), -1)
+
+
+_CODING = "split"
+
+
+@jax.jit
+def _lacking(robot: Robot, nominal: jax.Array, poses: jax.Array) -> jax.Array:
+    """(n, 6) what nominal configurations (n, ...) lack of poses (n, 9)."""
+    return jax.vmap(lambda one, pose: encode(_CODING, forward_kinematics(robot, one), pose))(nominal, poses)

@@ -49,5 +49,7 @@ class ModelKind:
     """At the top of those mappings that must be there."""
     size: Callable[[Any], int] = num_numbers
     """Fitted model -> how many numbers were fitted or are kept."""
+    robots: tuple[str, ...] | None = None
+    """Kinds of robots that it can be fitted to; None: all."""
     has_log: bool = False
     """Whether the fit writes `progress.jsonl`, one record an epoch, and says its `form` and `best_epoch`."""

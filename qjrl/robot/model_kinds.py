@@ -3,11 +3,17 @@
 from typing import Annotated, Any
 
 from qjrl.config import OneOf
+from qjrl.robot.continuum_arm.grey_model import GREY, GREY_GAUSSIAN_PROCESS
 from qjrl.robot.gaussian_process_model import GAUSSIAN_PROCESS
 from qjrl.robot.model_kind import FittedModel, ModelKind
 from qjrl.robot.network_fitting import NETWORK
 
-MODEL_KINDS: dict[str, ModelKind] = {"network": NETWORK, "gaussian_process": GAUSSIAN_PROCESS}
+MODEL_KINDS: dict[str, ModelKind] = {
+    "network": NETWORK,
+    "gaussian_process": GAUSSIAN_PROCESS,
+    "grey": GREY,
+    "grey_gaussian_process": GREY_GAUSSIAN_PROCESS,
+}
 """The first is meant where no kind is said."""
 
 ModelConfig = Annotated[Any, OneOf(lambda: [kind.config for kind in MODEL_KINDS.values()])]

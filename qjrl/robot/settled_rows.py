@@ -22,7 +22,10 @@ def settled_rows(robot: Robot, data: Mapping[str, np.ndarray], least: int = 2) -
         ArtifactError: one line; columns are missing or have other shapes, fewer than `least` rows rest, or a row that counts
             as settled holds a value that is not finite.
     """
-    needed = _NEEDED | {kind_of(robot).configuration_name: 1 + len(configuration_shape(robot))}
+    kind = kind_of(robot)
+    needed = dict(_NEEDED)
+    if kind.senses_configuration:
+        needed[kind.configuration_name] = 1 + len(configuration_shape(robot))
     converged = _checked(data, needed)
     rows = np.flatnonzero(converged)
     if len(rows) < least:

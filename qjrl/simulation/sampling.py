@@ -11,6 +11,7 @@ from scipy.stats import qmc
 
 from qjrl.artifacts import MANIFEST, ArtifactError, append_shard, read_manifest, remove_unfinished
 from qjrl.config import ConfigError, NotIdentity, Range, configuration
+from qjrl.keys import key_for
 from qjrl.records import check_record
 from qjrl.robot import cable_lengths, robot_hash
 from qjrl.robot.kinds import kind_of, num_coordinates
@@ -120,9 +121,28 @@ def differences(found: dict[str, Any], wanted: dict[str, Any]) -> str:
 def sample_rows(
     robot: Robot, simulation: SettleConfig, seed: int, start: int, count: int, advance=None, home_share: float = 0.0
 ) -> dict[str, np.ndarray]:
-    """Settle rows start .. start + count of the sequence; arrays of the data set's format."""
+    """Settle rows start .. start + count of the sequence; arrays of the data set's format.
+
+    A simulated robot of statics of its own goes from row to row, the first from home, and its poses are measured with noise.
+    """
     lengths = sample_lengths(robot, seed, start, count, home_share)
-    return dataset_rows(robot, lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
+    if kind_of(robot).rest is None:
+        return dataset_rows(robot, lengths, settle(robot, lengths, config=simulation, advance=advance), seed)
+    before = sample_lengths(robot, seed, start - 1, 1, home_share) if start else np.zeros((1, robot.num_cables))
+    previous = np.concatenate([before, lengths[:-1]])
+    result = settle(robot, lengths, config=simulation, advance=advance, previous=previous)
+    rows = dataset_rows(robot, lengths, result, seed) | {"previous_cable_lengths": previous}
+    return rows | {"pose": _measured(robot, result.pose, seed, start)}
+
+
+def _measured(robot: Robot, poses: np.ndarray, seed: int, start: int) -> np.ndarray:
+    """Poses with the noise of their measurement, which is a row's own."""
+    measure = kind_of(robot).measured
+    if measure is None:
+        return poses
+    key, numbers = key_for(seed, "noise of the measured poses"), np.arange(start, start + len(poses))
+    noisy = jax.vmap(lambda number, pose: measure(robot, jax.random.fold_in(key, number), pose))
+    return np.asarray(jax.jit(noisy)(numbers, poses))
 
 
 def sample_lengths(robot: Robot, seed: int, start: int, count: int, home_share: float) -> np.ndarray:
@@ -142,10 +162,12 @@ def _lengths(robot: Robot, numbers: jax.Array) -> jax.Array:
 
 def dataset_rows(robot: Robot, lengths: np.ndarray, result: SettleResult, seed: int) -> dict[str, np.ndarray]:
     """The columns of a data set from commands (n, cables) [m] and what they settled at."""
+    kind = kind_of(robot)
+    sensed = {kind.configuration_name: result.configuration} if kind.senses_configuration else {}
     return {
         "cable_lengths": lengths,
         "pose": result.pose,
-        kind_of(robot).configuration_name: result.configuration,
+        **sensed,
         "strand_tension": result.strand_tension,
         "joint_positions": result.joint_positions,
         "equality_error": result.equality_error,

@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+from collections.abc import Callable
 from typing import get_args
 
 import jax
@@ -11,7 +12,7 @@ from flax import struct
 from qjrl.config import ConfigError
 from qjrl.field_words import show
 from qjrl.robot import configuration_from_joint_positions, joint_positions, strand_commands
-from qjrl.robot.kinds import require_robot, verb
+from qjrl.robot.kinds import kind_of, require_robot, verb
 from qjrl.robot.plausibility import check_cable_lengths, real_numbers
 from qjrl.robot.verbs import Robot, configuration_from_cables, within_limits
 from qjrl.simulation.mujoco_settle import settle_mujoco
@@ -22,6 +23,8 @@ log = logging.getLogger(__name__)
 
 # Below this tension [N] a strand counts as slack.
 SLACK_TENSION = 0.01
+# Between two looks at the progress bar, where a kind has statics of its own.
+_ROWS_AT_ONCE = 256
 
 
 @struct.dataclass
@@ -68,9 +71,16 @@ class SettleResult:
 
 
 def settle(
-    robot: Robot, cable_lengths, backend: str | None = None, config: SettleConfig | None = None, advance=None
+    robot: Robot,
+    cable_lengths,
+    backend: str | None = None,
+    config: SettleConfig | None = None,
+    advance=None,
+    previous=None,
 ) -> SettleResult:
     """Settle the arm at each row of cable lengths, starting from its nominal pose.
+
+    A kind with statics of its own rests by these, and of `config` only the backend is looked at.
 
     Args:
         robot: the arm.
@@ -78,6 +88,7 @@ def settle(
         backend: one of `Backend`; default: the config's.
         config: tolerances, limits and sizes; default `SettleConfig()`.
         advance: called with the number of newly settled rows (a progress bar).
+        previous: (n, num_cables) [m] what each row held before, for kinds whose friction remembers it; default: home.
     Raises:
         ValueError: wrong shape, non-finite lengths or such as no cable of the robot can have, unknown backend.
     """
@@ -95,11 +106,46 @@ def settle(
     if not np.all(np.isfinite(lengths)):
         raise ValueError("cable_lengths: got non-finite values, allowed: finite lengths [m]")
     check_cable_lengths(robot, lengths)
+    if kind_of(robot).rest is not None:
+        before = np.zeros_like(lengths) if previous is None else np.asarray(previous, np.float64)
+        return _by_own_statics(robot, lengths, before, config, advance or (lambda count: None))
     problem = nominal_problem(robot, lengths)
     raw = _load_backend(config.backend)(robot, problem, config, advance or (lambda count: None))
     if not raw.converged.all():
         log.warning("settling %s: %s", robot.name, unsettled(raw.status, config))
     return _describe(robot, raw)
+
+
+def _by_own_statics(
+    robot: Robot, lengths: np.ndarray, previous: np.ndarray, config: SettleConfig, advance: Callable[[int], None]
+) -> SettleResult:
+    """In blocks, so that a progress bar moves."""
+    if config.backend != "mujoco":
+        raise ConfigError(
+            f"simulation.backend: got {config.backend}, allowed: mujoco; robots of kind {robot.kind} rest by statics of their "
+            "own, on the CPU"
+        )
+    found = []
+    for start in range(0, len(lengths), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        found.append(verb(robot, "rest")(robot, lengths[rows], previous[rows]))
+        advance(len(lengths[rows]))
+    rest = jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+    if num_lost := int(np.sum(~rest.has_rested)):
+        log.warning("settling %s: no equilibrium was found for %d of %d rows", robot.name, num_lost, len(lengths))
+    zeros = np.zeros(len(lengths))
+    return SettleResult(
+        robot=robot,
+        pose=rest.pose,
+        configuration=rest.configuration,
+        strand_tension=rest.strand_tension,
+        joint_positions=rest.positions,
+        equality_error=zeros,
+        speed=zeros,
+        steps=zeros.astype(int),
+        converged=rest.has_rested,
+        status=np.where(rest.has_rested, SettleStatus.RESTS, SettleStatus.DIVERGES),
+    )
 
 
 def unsettled(status: np.ndarray, config: SettleConfig) -> str:

@@ -24,6 +24,8 @@ from qjrl.stage_config import RobotStageConfig
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf",)
+
     simulation: SettleConfig
     policy: PolicyConfig
     name: str

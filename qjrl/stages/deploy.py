@@ -40,6 +40,8 @@ from qjrl.stage_config import RobotStageConfig
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf", "interface")
+
     simulation: SettleConfig
     policy: PolicyConfig
     deploy: DeployConfig

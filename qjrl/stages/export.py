@@ -15,6 +15,8 @@ from qjrl.stage_config import RobotStageConfig
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("interface",)
+
     export: ExportConfig
 
     @property

@@ -23,6 +23,8 @@ _AT_THE_START = ("evaluation/median_mm", "evaluation/uniform_median_mm", "evalua
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf",)
+
     engine: EngineConfig
     policy: PolicyConfig
 

@@ -23,6 +23,8 @@ from qjrl.stage_config import RobotStageConfig
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("at_pretension",)
+
     simulation: SettleConfig
     pretension: PretensionConfig
 

@@ -9,6 +9,7 @@ from flax import struct
 
 from qjrl.config import build
 from qjrl.robot.continuum_arm.description import ContinuumArmConfig
+from qjrl.robot.continuum_arm.rod import Discretisation
 from qjrl.robot.kind import Robot
 from qjrl.robot.leaves import Number, described, leaves_of
 
@@ -147,6 +148,11 @@ class ContinuumArm(Robot):
     @property
     def num_cables(self) -> int:
         return self.num_segments * self.cables_per_segment
+
+    @property
+    def num_positions(self) -> int:
+        """Modes of all rods: what the simulated arm's statics solves for."""
+        return self.num_segments * Discretisation().size
 
     @property
     def num_strands(self) -> int:

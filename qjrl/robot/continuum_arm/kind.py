@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.robot.continuum_arm import kinematics, sampling
+from qjrl.robot.continuum_arm import kinematics, sampling, simulated
 from qjrl.robot.continuum_arm.arm import ContinuumArm, arm_from_config
 from qjrl.robot.continuum_arm.description import ContinuumArmConfig
 from qjrl.robot.continuum_arm.drawing import DRAWING
@@ -68,11 +68,14 @@ CONTINUUM_ARM = Kind(
     largest=lambda arm: arm.bend_limit,
     random=sampling.uniform_bends,
     configuration_name="bends",
+    senses_configuration=False,
     check=check_bends,
     at_distance=sampling.bends_at_distance,
     cable_lengths=kinematics.cable_lengths,
     configuration_from_cables=kinematics.bends_from_cables,
     cable_strokes=kinematics.cable_strokes,
+    rest=simulated.rest,
+    measured=simulated.measured,
     motor_force=motor_force,
     is_at_strength=is_at_strength,
     drawing=DRAWING,

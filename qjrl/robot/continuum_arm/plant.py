@@ -163,7 +163,12 @@ class Cables:
 
 def cables_of(plant: Plant, commands: Float[Array, "n S C"], previous: Float[Array, "n S C"]) -> Cables:
     """Cables of commands [m] relative to home, + pays out, after the previous ones."""
-    rest = plant.cable_gain * commands + plant.length[:, None] + plant.home_offset - plant.pretension / plant.cable_stiffness
+    rest = (
+        plant.cable_gain * commands
+        + plant.length[:, None]
+        + plant.home_offset
+        - plant.pretension / plant.cable_stiffness
+    )
     bends = _norm(nominal_bends(plant, commands))
     wrap = plant.base_wrap + jnp.cumsum(bends, axis=1) - bends
     direction = jnp.tanh((commands - previous) / plant.reversal_travel)

@@ -175,7 +175,9 @@ def _tried(problem: _Problem, search: _Search) -> _Search:
     """After one more try. A factor serves as long as each step with it makes every residual ten times smaller."""
     plant, cables, counts = problem.plant, problem.cables, problem.counts
     factor = jax.lax.cond(
-        search.is_stale, lambda: _factor(problem, curvature_of(plant, cables, search.modes, counts)), lambda: search.factor
+        search.is_stale,
+        lambda: _factor(problem, curvature_of(plant, cables, search.modes, counts)),
+        lambda: search.factor,
     )
     step = _solved(factor, -search.residual)
     bound = jnp.minimum(1.0, _LARGEST_STEP / jnp.maximum(_largest(step), _LARGEST_STEP))
@@ -215,7 +217,8 @@ def _matrix(curvature: Curvature) -> jax.Array:
     size, _, count, rows = curvature.blocks.shape
     pairs = zip(jax.tree.leaves(curvature.lever), jax.tree.leaves(curvature.swing), strict=True)
     coupling = -sum(
-        lever.transpose(2, 1, 0)[:, :, :, None, None] * swing.transpose(2, 1, 0)[:, None, None] for lever, swing in pairs
+        lever.transpose(2, 1, 0)[:, :, :, None, None] * swing.transpose(2, 1, 0)[:, None, None]
+        for lever, swing in pairs
     )
     is_before = jnp.triu(jnp.ones((count, count)), 1)[:, None, :, None]
     upper = (coupling * is_before).reshape(rows, count * size, count * size)

@@ -16,6 +16,8 @@ from qjrl.studies.jitter.measure import Findings, num_plays, study
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf",)
+
     jitter: JitterConfig
 
 

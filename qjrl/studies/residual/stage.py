@@ -28,6 +28,8 @@ from qjrl.studies.residual.parameter_effects import one_at_a_time
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf",)
+
     engine: EngineConfig
     policy: PolicyConfig
     residual: ResidualStudyConfig

@@ -23,6 +23,8 @@ from qjrl.studies.robustness.report import robustness_metrics, robustness_table
 
 @dataclasses.dataclass(frozen=True)
 class Config(RobotStageConfig):
+    needs = ("build_mjcf",)
+
     simulation: SettleConfig
     engine: EngineConfig
     policy: PolicyConfig

@@ -73,7 +73,9 @@ def test_an_arm_without_defects_rests_where_an_independent_prototype_has_found()
 
 def lowest(plant, commands, start, counts):
     """Modes (size, S, 1) of least energy of one row by a quasi-Newton method of SciPy."""
-    scale = np.sqrt(np.stack([np.broadcast_to(slope, (plant.num_segments, 1)) for slope in elastic_slopes(plant.stiffness, counts)]))
+    scale = np.sqrt(
+        np.stack([np.broadcast_to(slope, (plant.num_segments, 1)) for slope in elastic_slopes(plant.stiffness, counts)])
+    )
 
     def values(flat):
         energy, slope = energy_of(plant, commands, commands, flat.reshape(scale.shape) / scale, counts)
@@ -107,7 +109,9 @@ def test_the_residual_is_the_slope_of_the_energy(worn_plant, previous):
         way = generator.normal(size=modes.shape)
         way[-1] *= 1e-3
         energies = [energy_of(worn_plant, COMMANDS, previous, modes + step * way, COUNTS)[0] for step in (-1e-6, 1e-6)]
-        np.testing.assert_allclose((energies[1] - energies[0]) / 2e-6, np.sum(slope * way, axis=(0, 1)), rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(
+            (energies[1] - energies[0]) / 2e-6, np.sum(slope * way, axis=(0, 1)), rtol=1e-6, atol=1e-6
+        )
 
 
 def test_an_arm_at_rest_is_a_minimum_with_forces_in_balance(worn_plant, previous):
@@ -133,7 +137,11 @@ def test_stiff_cables_and_soft_rods_without_gravity_tend_to_the_nominal_pose():
         nominal.append(position)
     for factor in (1.0, 10.0, 100.0):
         plant = frictionless_plant(
-            gravity=np.zeros(3), bending_stiffness=0.06, cable_stiffness=3e4 * factor, axial_stiffness=5e4 * factor, pretension=10.0
+            gravity=np.zeros(3),
+            bending_stiffness=0.06,
+            cable_stiffness=3e4 * factor,
+            axial_stiffness=5e4 * factor,
+            pretension=10.0,
         )
         at_rest = rested(dataclasses.replace(plant, slack_length=plant.slack_length / factor), COMMANDS)
         assert at_rest.converged.all()

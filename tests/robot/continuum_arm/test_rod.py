@@ -22,7 +22,9 @@ def end_of(shape):
 
 
 def rotation_of(shape):
-    return np.stack([np.stack(jax.tree.leaves(column)) for column in jax.tree.leaves(shape.rotation, is_leaf=is_vector)], 1)
+    return np.stack(
+        [np.stack(jax.tree.leaves(column)) for column in jax.tree.leaves(shape.rotation, is_leaf=is_vector)], 1
+    )
 
 
 def is_vector(value):
@@ -70,7 +72,9 @@ def test_a_cantilever_with_a_force_at_its_tip_is_the_elastica(bent_by_tip_force,
 
 def test_a_moment_alone_makes_a_circular_arc():
     counts, length, stiffness = Discretisation(), 0.3, RodStiffness(bending=2.0, torsion=0.7, stretch=3.0)
-    moment = np.array([[1.5, 0.01, 0.0, -2.0], [-0.7, 0.0, 0.0, 1.0]])  # work of a moment about (-y, x): moment times bend
+    moment = np.array(
+        [[1.5, 0.01, 0.0, -2.0], [-0.7, 0.0, 0.0, 1.0]]
+    )  # work of a moment about (-y, x): moment times bend
     modes = np.zeros((counts.size, 4))
     modes[[0, counts.bending]] = moment / stiffness.bending
     slope = jax.grad(lambda q: jnp.sum(elastic_energy(q, jnp.zeros((2, 4)), stiffness, counts)))(modes)
