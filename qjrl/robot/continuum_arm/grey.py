@@ -94,8 +94,8 @@ def grey_pose(
     if rubbing is not None:
         bends = bends + numbers.friction * rubbing
     shape = _Shape(bends, jnp.zeros_like(bends), jnp.zeros(arm.num_segments))
-    for _ in range(PASSES):
-        shape = _yielded(arm, numbers, bends, _frames(arm, shape))
+    again = lambda shape, _: (_yielded(arm, numbers, bends, _frames(arm, shape)), None)  # noqa: E731
+    shape, _ = jax.lax.scan(again, shape, length=PASSES)  # in a row it takes three times as long to compile
     position, rotation = _frames(arm, shape).ends[-1]
     return pose_from_frame(position, rotation @ exp_rotation(numbers.tip_rotation))
 
@@ -110,13 +110,13 @@ def rubbing_of(arm: ContinuumArm, lengths: Float[Array, "cables"], previous: Flo
     return wrap[:, None] * pull / (2.0 * jnp.asarray(arm.anchor_radii)[:, None])
 
 
-@dataclasses.dataclass(frozen=True)
+@struct.dataclass
 class _Shape:
     """Of all segments: bend (S, 2) [rad]; shear (S, 2) [m] and twist (S,) [rad] in the frame of its middle."""
 
-    bends: jax.Array
-    shear: jax.Array
-    twist: jax.Array
+    bends: Any
+    shear: Any
+    twist: Any
 
 
 @dataclasses.dataclass(frozen=True)

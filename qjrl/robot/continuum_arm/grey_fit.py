@@ -106,6 +106,6 @@ def _left(arm: ContinuumArm, numbers: GreyNumbers, *columns: jax.Array) -> jax.A
 @jit_of_chains
 def _left_slopes(arm: ContinuumArm, numbers: GreyNumbers, *columns: jax.Array) -> Any:
     def slopes(row: Any) -> Any:
-        return jax.jacfwd(lambda one: _left_of_row(arm, one, *row))(numbers)
+        return jax.jacrev(lambda one: _left_of_row(arm, one, *row))(numbers)
 
     return jax.lax.map(slopes, columns, batch_size=ROWS)
