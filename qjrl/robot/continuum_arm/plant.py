@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from qjrl.geometry.vectors import Vector
 from qjrl.robot.continuum_arm.rod import RodShape, RodStiffness
@@ -86,19 +86,19 @@ class Plant:
 
 def nominal_plant(
     *,
-    length: ArrayLike,
-    anchor_radius: ArrayLike,
+    length: Any,
+    anchor_radius: Any,
     num_cables: int = 4,
-    bending_stiffness: ArrayLike = 0.6,
-    torsional_stiffness: ArrayLike = 0.6,
-    axial_stiffness: ArrayLike = 5e4,
-    disc_mass: ArrayLike = 0.35,
-    hose_mass: ArrayLike = 0.05,
+    bending_stiffness: Any = 0.6,
+    torsional_stiffness: Any = 0.6,
+    axial_stiffness: Any = 5e4,
+    disc_mass: Any = 0.35,
+    hose_mass: Any = 0.05,
     payload: float = 0.5,
     cable_stiffness: float = 3e4,
     pretension: float = 40.0,
     friction: float = 0.15,
-    gravity: ArrayLike = (9.81, 0.0, 0.0),
+    gravity: Any = (9.81, 0.0, 0.0),
 ) -> Plant:
     """An arm without defects; units as in `Plant`.
 
@@ -156,7 +156,12 @@ class Cables:
 
 def cables_of(plant: Plant, commands: Float[Array, "n S C"], previous: Float[Array, "n S C"]) -> Cables:
     """Cables of commands [m] relative to home, + pays out, after the previous ones."""
-    rest = plant.cable_gain * commands + plant.length[:, None] + plant.home_offset - plant.pretension / plant.cable_stiffness
+    rest = (
+        plant.cable_gain * commands
+        + plant.length[:, None]
+        + plant.home_offset
+        - plant.pretension / plant.cable_stiffness
+    )
     bends = _norm(nominal_bends(plant, commands))
     wrap = plant.base_wrap + jnp.cumsum(bends, axis=1) - bends
     direction = jnp.tanh((commands - previous) / plant.reversal_travel)
@@ -168,7 +173,9 @@ def nominal_bends(plant: Plant, commands: Float[Array, "n S C"]) -> Float[Array,
     """Bend of each segment [rad] that cables [m] relative to home mean by the nominal model; at most half a turn."""
     azimuths = anchor_azimuths(plant.num_cables)
     directions = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
-    chords = -2.0 / plant.num_cables * commands @ directions / plant.anchor_radius[:, None]  # 2 sin(theta/2) a direction
+    chords = (
+        -2.0 / plant.num_cables * commands @ directions / plant.anchor_radius[:, None]
+    )  # 2 sin(theta/2) a direction
     squared = jnp.sum(chords**2, axis=2, keepdims=True)
     is_straight = squared < _STRAIGHT**2
     chord = jnp.sqrt(jnp.where(is_straight, 1.0, squared))

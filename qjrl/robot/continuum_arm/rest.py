@@ -43,6 +43,8 @@ _SHORTER = 0.3
 _GOOD_SHARE = 0.1
 # What the energy may rise by in a step that is all rounding, as a share of the energy.
 _ROUNDING = 1e-13
+# Fall of the energy that a whole step promises near to rest, as a share of EI / L.
+_NEAR = 1e-9
 
 
 @struct.dataclass
@@ -75,6 +77,7 @@ def rest(
     Args:
         commands: length of each cable relative to home [m], + pays out.
     """
+    plant = jax.tree.map(jnp.asarray, plant)
     modes, slope = _modes_at_rest(counts, plant, commands, previous)
     found = _largest(slope)
     cables = cables_of(plant, commands, previous)
@@ -175,19 +178,25 @@ def _tried(problem: _Problem, search: _Search) -> _Search:
     """After one more try. A factor serves as long as each step with it makes every residual ten times smaller."""
     plant, cables, counts = problem.plant, problem.cables, problem.counts
     factor = jax.lax.cond(
-        search.is_stale, lambda: _factor(problem, curvature_of(plant, cables, search.modes, counts)), lambda: search.factor
+        search.is_stale,
+        lambda: _factor(problem, curvature_of(plant, cables, search.modes, counts)),
+        lambda: search.factor,
     )
     step = _solved(factor, -search.residual)
     bound = jnp.minimum(1.0, _LARGEST_STEP / jnp.maximum(_largest(step), _LARGEST_STEP))
     modes = search.modes + jnp.where(search.share > 0.0, search.share * bound * step, 0.0)
     reached, slope = energy_and_residual(plant, cables, modes, counts)
     is_lower = reached <= search.energy + _ROUNDING * jnp.abs(reached)
+    # So near to rest energies differ by less than they are rounded.
+    fall = -0.5 * jnp.sum(step * search.residual, axis=(0, 1))
+    is_near = (fall <= _NEAR * jnp.max(plant.stiffness.bending)) & (_largest(slope) < _largest(search.residual))
+    is_taken = is_lower | is_near
     is_slow = (_largest(slope) > _SOUGHT_RESIDUAL) & ~(_largest(slope) <= _GOOD_SHARE * _largest(search.residual))
     return _Search(
-        modes=jnp.where(is_lower, modes, search.modes),
-        energy=jnp.where(is_lower, reached, search.energy),
-        residual=jnp.where(is_lower, slope, search.residual),
-        share=jnp.where(is_lower, 1.0, _SHORTER * search.share),
+        modes=jnp.where(is_taken, modes, search.modes),
+        energy=jnp.where(is_taken, reached, search.energy),
+        residual=jnp.where(is_taken, slope, search.residual),
+        share=jnp.where(is_taken, 1.0, _SHORTER * search.share),
         factor=factor,
         is_stale=jnp.any(is_slow) | (search.tries == 0),
         tries=search.tries + 1,
@@ -215,7 +224,8 @@ def _matrix(curvature: Curvature) -> jax.Array:
     size, _, count, rows = curvature.blocks.shape
     pairs = zip(jax.tree.leaves(curvature.lever), jax.tree.leaves(curvature.swing), strict=True)
     coupling = -sum(
-        lever.transpose(2, 1, 0)[:, :, :, None, None] * swing.transpose(2, 1, 0)[:, None, None] for lever, swing in pairs
+        lever.transpose(2, 1, 0)[:, :, :, None, None] * swing.transpose(2, 1, 0)[:, None, None]
+        for lever, swing in pairs
     )
     is_before = jnp.triu(jnp.ones((count, count)), 1)[:, None, :, None]
     upper = (coupling * is_before).reshape(rows, count * size, count * size)
