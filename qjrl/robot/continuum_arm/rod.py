@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from qjrl.geometry.vectors import IDENTITY, ZERO, Matrix, Vector
+from qjrl.geometry.vectors import Matrix, Vector
 
 
 @dataclasses.dataclass(frozen=True)

@@ -128,7 +128,12 @@ def test_shapes_converge_with_the_fourth_power_of_the_steps_to_the_rods_differen
         known = [plain_shape(row, 0.5, counts) for row in modes.T]
         mean = np.stack(jax.tree.leaves(shape.first_moment))
         found = (end_of(shape), rotation_of(shape), mean)
-        errors.append([np.abs(one - np.stack(other, -1)).max() for one, other in zip(found, zip(*known), strict=True)])
+        errors.append(
+            [
+                np.abs(one - np.stack(other, -1)).max()
+                for one, other in zip(found, zip(*known, strict=True), strict=True)
+            ]
+        )
     ratios = np.array(errors[:-1]) / np.array(errors[1:])
     assert (ratios[:, :2] > 11.0).all(), errors  # 16 in the limit
     assert (ratios[:, 2] > 3.7).all(), errors  # the mean position, for the hose's weight alone: 4 in the limit
