@@ -71,8 +71,8 @@ def rest(
 ) -> Rest:
     """Where the arm rests with its cables at `commands`, which it reached from the `previous` ones.
 
-    Derivatives by the plant's numbers and by the commands, of any order, are those of the state of rest. It needs float64:
-    in single precision no arm converges.
+    Derivatives by the plant's numbers and by the commands are those of the state of rest. It needs float64: in single
+    precision no arm converges.
 
     Args:
         commands: length of each cable relative to home [m], + pays out.

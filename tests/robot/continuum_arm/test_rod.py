@@ -15,6 +15,10 @@ SOFT = RodStiffness(bending=1.0, torsion=0.7, stretch=3.0)
 FINE = Discretisation(bending=7, torsion=0, stretch=0, steps=16)
 
 shape_of = jit_of_chains(rod_shape, static_argnums=2)
+energy_slope = jax.jit(
+    jax.grad(lambda modes, stiffness, counts: jnp.sum(elastic_energy(modes, jnp.zeros((2, 1)), stiffness, counts))),
+    static_argnums=2,
+)
 
 
 def end_of(shape):
@@ -77,7 +81,7 @@ def test_a_moment_alone_makes_a_circular_arc():
     )  # work of a moment about (-y, x): moment times bend
     modes = np.zeros((counts.size, 4))
     modes[[0, counts.bending]] = moment / stiffness.bending
-    slope = jax.grad(lambda q: jnp.sum(elastic_energy(q, jnp.zeros((2, 4)), stiffness, counts)))(modes)
+    slope = energy_slope(modes, stiffness, counts)
     np.testing.assert_allclose(slope[jnp.array([0, counts.bending])], moment, atol=1e-12)
     shape = shape_of(modes, length, counts)
     bend = moment / stiffness.bending
@@ -92,7 +96,7 @@ def test_a_torque_alone_twists_a_straight_rod():
     counts = Discretisation()
     modes = np.zeros((counts.size, 1))
     modes[2 * counts.bending] = torque = 1.2 * SOFT.torsion
-    slope = jax.grad(lambda q: jnp.sum(elastic_energy(q, jnp.zeros((2, 1)), SOFT, counts)))(modes)
+    slope = energy_slope(modes, SOFT, counts)
     assert slope[2 * counts.bending, 0] == pytest.approx(SOFT.torsion * torque, rel=1e-12)
     shape = shape_of(modes, 0.3, counts)
     np.testing.assert_allclose(end_of(shape)[:, 0], [0.0, 0.0, 0.3], atol=1e-14)
@@ -142,7 +146,6 @@ def test_shapes_converge_with_the_fourth_power_of_the_steps_to_the_rods_differen
 
 def test_slopes_of_the_energy_are_its_second_derivatives():
     counts = Discretisation(bending=3, torsion=2, stretch=2, steps=2)
-    hessian = jax.hessian(lambda modes: elastic_energy(modes, jnp.array([0.1, -0.2]), SOFT, counts))(
-        jnp.asarray(random_modes(counts)[:, 0])
-    )
+    energy = lambda modes: elastic_energy(modes, jnp.array([0.1, -0.2]), SOFT, counts)  # noqa: E731
+    hessian = jax.jit(jax.hessian(energy))(random_modes(counts)[:, 0])
     np.testing.assert_allclose(hessian, np.diag(elastic_slopes(SOFT, counts)), atol=1e-14)
