@@ -98,7 +98,7 @@ def nominal_plant(
     axial_stiffness: Any = 5e4,
     disc_mass: Any = 0.35,
     hose_mass: Any = 0.05,
-    disc_depth: float = 0.005,
+    disc_depth: Any = 0.005,
     payload: float = 0.5,
     payload_height: float = 0.02,
     cable_stiffness: float = 3e4,
@@ -111,7 +111,7 @@ def nominal_plant(
 
     Args:
         length: of every segment (S,).
-        anchor_radius, the stiffnesses, disc_mass, hose_mass: one for all segments or (S,).
+        anchor_radius, the stiffnesses, disc_mass, disc_depth, hose_mass: one for all segments or (S,).
         anchor_directions: (S, C, 2) unit vectors; None: `num_cables` evenly, clockwise from x.
     """
     lengths = np.array(length, np.float64)
@@ -134,7 +134,7 @@ def nominal_plant(
         disc_mass=each(disc_mass),
         hose_mass=each(hose_mass),
         payload=number(payload),
-        disc_depth=each(0.005),
+        disc_depth=each(disc_depth),
         payload_height=number(payload_height),
         lower_anchors=anchors,
         upper_anchors=anchors.copy(),

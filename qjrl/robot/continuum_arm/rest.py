@@ -43,6 +43,8 @@ _SHORTER = 0.3
 _GOOD_SHARE = 0.1
 # What the energy may rise by in a step that is all rounding, as a share of the energy.
 _ROUNDING = 1e-13
+# Fall of the energy that a whole step promises near to rest, as a share of EI / L.
+_NEAR = 1e-9
 
 
 @struct.dataclass
@@ -69,12 +71,13 @@ def rest(
 ) -> Rest:
     """Where the arm rests with its cables at `commands`, which it reached from the `previous` ones.
 
-    Derivatives by the plant's numbers and by the commands, of any order, are those of the state of rest. It needs float64:
-    in single precision no arm converges.
+    Derivatives by the plant's numbers and by the commands are those of the state of rest. It needs float64: in single
+    precision no arm converges.
 
     Args:
         commands: length of each cable relative to home [m], + pays out.
     """
+    plant = jax.tree.map(jnp.asarray, plant)
     modes, slope = _modes_at_rest(counts, plant, commands, previous)
     found = _largest(slope)
     cables = cables_of(plant, commands, previous)
@@ -91,7 +94,8 @@ def rest(
 
 
 compiled_rest = jit_of_chains(rest, static_argnums=3)
-"""`rest`, compiled; all arguments by position."""
+"""`rest`, compiled; all arguments by position. A CPU is fastest with some 64 rows: more no longer fit its caches, and all
+rows of a batch wait for the slowest. `robot.batching.in_batches` takes any number."""
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -184,12 +188,16 @@ def _tried(problem: _Problem, search: _Search) -> _Search:
     modes = search.modes + jnp.where(search.share > 0.0, search.share * bound * step, 0.0)
     reached, slope = energy_and_residual(plant, cables, modes, counts)
     is_lower = reached <= search.energy + _ROUNDING * jnp.abs(reached)
+    # So near to rest energies differ by less than they are rounded.
+    fall = -0.5 * jnp.sum(step * search.residual, axis=(0, 1))
+    is_near = (fall <= _NEAR * jnp.max(plant.stiffness.bending)) & (_largest(slope) < _largest(search.residual))
+    is_taken = is_lower | is_near
     is_slow = (_largest(slope) > _SOUGHT_RESIDUAL) & ~(_largest(slope) <= _GOOD_SHARE * _largest(search.residual))
     return _Search(
-        modes=jnp.where(is_lower, modes, search.modes),
-        energy=jnp.where(is_lower, reached, search.energy),
-        residual=jnp.where(is_lower, slope, search.residual),
-        share=jnp.where(is_lower, 1.0, _SHORTER * search.share),
+        modes=jnp.where(is_taken, modes, search.modes),
+        energy=jnp.where(is_taken, reached, search.energy),
+        residual=jnp.where(is_taken, slope, search.residual),
+        share=jnp.where(is_taken, 1.0, _SHORTER * search.share),
         factor=factor,
         is_stale=jnp.any(is_slow) | (search.tries == 0),
         tries=search.tries + 1,

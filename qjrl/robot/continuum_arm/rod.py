@@ -1,6 +1,7 @@
 """The shape of an elastic rod from the modes of its strains: it bends, twists and stretches, and does not shear.
 
-A strain is a sum of Legendre polynomials along the rod. The shape follows by Magnus steps of order four on SE(3).
+A strain is a sum of Legendre polynomials along the rod. The shape follows by Magnus steps of order four on SE(3); only the
+mean position along a step, for the weight of a hose, is of order two.
 Modes come first and a batch of rods last, so that each number is one long row for the processor.
 """
 

@@ -17,7 +17,7 @@ from qjrl.robot.continuum_arm.rest import compiled_rest
 from qjrl.robot.continuum_arm.rod import Discretisation
 
 ROWS = 64
-"""Rows of the compiled program, the last call filled up: a row gets the same bits whatever rows come with it."""
+"""Rows of the compiled program, the last call filled up. Rows search together: with others beside it a row rests within 1e-9 m."""
 COUNTS = Discretisation()
 
 

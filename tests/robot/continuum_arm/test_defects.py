@@ -34,8 +34,8 @@ def test_defects_have_their_sizes_and_touch_nothing_else():
     for name, sigma in sigmas.items():
         assert np.std(found[name]) == pytest.approx(sigma, rel=0.05), name
         assert abs(np.mean(found[name])) < 0.1 * sigma, name
-    tips = [changes(DefectSizes(), seed, frictionless_plant())["tip_rotation"] for seed in range(100)]
-    assert np.degrees(np.std(tips)) == pytest.approx(0.3, rel=0.15)
+    tips = [changes(DefectSizes(), seed, frictionless_plant())["tip_rotation"] for seed in range(30)]
+    assert np.degrees(np.std(tips)) == pytest.approx(0.3, rel=0.25)
     assert not any(np.any(change) for name, change in found.items() if name not in DRAWN)
 
 

@@ -119,5 +119,7 @@ def test_what_is_saved_answers_the_same(fitted, tmp_path):
 def test_another_kind_of_robot_is_refused_before_any_work():
     tree = tree_of() | {"forward_model": {"kind": "grey"}}
     pipeline.build_configs(tree, ["sample"])
-    with pytest.raises(ConfigError, match=r"^forward_model\.kind: got grey, allowed for a robot of kind quaternion_arm"):
+    with pytest.raises(
+        ConfigError, match=r"^forward_model\.kind: got grey, allowed for a robot of kind quaternion_arm"
+    ):
         pipeline.build_configs(tree, ["sample", "forward_model"])

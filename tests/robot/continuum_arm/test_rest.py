@@ -1,6 +1,7 @@
 """Where a continuum arm rests."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -28,6 +29,7 @@ from qjrl.robot.continuum_arm.rod import Discretisation, elastic_slopes
 from qjrl.xla_options import jit_of_chains
 
 COUNTS = Discretisation()
+FEW = Discretisation(bending=2, torsion=1, stretch=1, steps=1)
 FINE = Discretisation(bending=6, torsion=2, stretch=1, steps=8)
 COMMANDS = commands_of(BENDS)
 MIRROR = np.diag([1.0, -1.0, 1.0])
@@ -85,8 +87,9 @@ def lowest(plant, commands, start, counts):
     return found.x.reshape(scale.shape) / scale
 
 
+@functools.partial(jit_of_chains, static_argnums=2)
 def tip_of(plant, modes, counts):
-    return np.stack(jax.tree.leaves(chain_of(plant, shapes_of(plant, jnp.asarray(modes), counts)).tip))[:, 0]
+    return jnp.stack(jax.tree.leaves(chain_of(plant, shapes_of(plant, modes, counts)).tip))[:, 0]
 
 
 def test_more_modes_and_steps_move_the_tip_by_a_fifth_of_a_millimetre_and_agree_with_the_prototypes_finer_rows():
@@ -125,7 +128,7 @@ def test_an_arm_at_rest_is_a_minimum_with_forces_in_balance(worn_plant, previous
         assert (energy_of(worn_plant, COMMANDS, previous, moved, COUNTS)[0] > least).all()
 
 
-def test_stiff_cables_and_soft_rods_without_gravity_tend_to_the_nominal_pose():
+def test_stiff_cables_on_soft_rods_without_gravity_tend_to_the_nominal_pose():
     nominal, errors = [], []
     for segments in BENDS:
         position, rotation = np.zeros(3), np.eye(3)
@@ -135,18 +138,24 @@ def test_stiff_cables_and_soft_rods_without_gravity_tend_to_the_nominal_pose():
             position = position + rotation @ arc
             rotation = rotation @ Rotation.from_rotvec([-bend[1], bend[0], 0.0]).as_matrix()
         nominal.append(position)
+    longer = 0.02 * LENGTH  # rods 2 % too long press on the cables, which all stay taut
     for factor in (1.0, 10.0, 100.0):
-        plant = frictionless_plant(
+        plant = nominal_plant(
+            length=[LENGTH + longer] * 4,
+            anchor_radius=RADIUS,
             gravity=np.zeros(3),
+            friction=0.0,
+            pretension=0.0,
             bending_stiffness=0.06,
+            axial_stiffness=1e3,
             cable_stiffness=3e4 * factor,
-            axial_stiffness=5e4 * factor,
-            pretension=10.0,
         )
-        at_rest = rested(dataclasses.replace(plant, slack_length=plant.slack_length / factor), COMMANDS)
-        assert at_rest.converged.all()
+        at_home = np.full(plant.home_offset.shape, -longer)
+        plant = dataclasses.replace(plant, home_offset=at_home, slack_length=plant.slack_length / factor)
+        at_rest = rested(plant, COMMANDS)
+        assert at_rest.converged.all() and at_rest.tension.min() > 0.1
         errors.append(np.linalg.norm(at_rest.pose[:, :3] - np.array(nominal), axis=1).max())
-    assert errors[0] < 1e-2 and errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8, errors
+    assert errors[1] < errors[0] / 8 and errors[2] < errors[1] / 8 and errors[2] < 3e-5, errors
 
 
 def moved_anchors(plant, matrix, places):
@@ -183,35 +192,12 @@ def test_an_arm_turned_or_mirrored_with_its_cables_renamed_gives_the_answer_turn
     np.testing.assert_allclose(new.tension, old.tension[:, :, back], atol=1e-5)
 
 
-def test_slopes_by_every_number_of_the_plant_and_by_the_commands_are_differences(worn_plant, previous):
-    def seen(plant, commands, previous):
-        at_rest = rest(plant, commands, previous)
-        return jnp.sum(at_rest.pose * weights) + 1e-3 * jnp.sum(at_rest.tension)
-
-    generator = np.random.default_rng(4)
-    weights = generator.normal(size=(4, 9))
-    everything = (worn_plant, COMMANDS, previous)
-    slopes = jit_of_chains(jax.grad(seen, argnums=(0, 1, 2)))(*everything)
-    leaves, tree = jax.tree.flatten(everything)
-    names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(everything)]
-
-    def value(number, leaf):
-        at_rest = rested(*jax.tree.unflatten(tree, [*leaves[:number], leaf, *leaves[number + 1 :]]))
-        return float(np.sum(at_rest.pose * weights) + 1e-3 * np.sum(at_rest.tension))
-
-    for number, (name, leaf, slope) in enumerate(zip(names, leaves, jax.tree.leaves(slopes), strict=True)):
-        way = generator.normal(size=np.shape(leaf))
-        step = 1e-5 * (np.abs(leaf).max() or 1.0)
-        if number in (len(leaves) - 1, len(leaves) - 2):
-            step = 1e-7
-        difference = (value(number, leaf + step * way) - value(number, leaf - step * way)) / (2.0 * step)
-        assert np.sum(slope * way) == pytest.approx(difference, rel=2e-5, abs=2e-5), name
-
-
 def test_friction_remembers_the_way_that_a_cable_last_moved():
     plant = nominal_plant(length=[LENGTH] * 4, anchor_radius=RADIUS)
     before = COMMANDS + np.array([0.01, -0.01, 0.0, 0.01])  # reeled in, paid out, left alone, reeled in
-    factor = np.asarray(cables_of(plant, COMMANDS, before).stiffness / plant.cable_stiffness).transpose(2, 1, 0)
+    factor = np.asarray(
+        cables_of(plant, jnp.asarray(COMMANDS), jnp.asarray(before)).stiffness / plant.cable_stiffness
+    ).transpose(2, 1, 0)
     bends = np.linalg.norm(BENDS, axis=2)
     wrap = 0.5 + np.cumsum(bends, axis=1) - bends
     np.testing.assert_allclose(np.log(factor), 0.15 * wrap[:, :, None] * np.array([-1.0, 1.0, 0.0, -1.0]), atol=1e-12)
@@ -226,23 +212,53 @@ def test_a_row_without_numbers_says_so_and_leaves_the_others_alone():
     spoilt[1] = np.nan
     at_rest, alone = rested(plant, spoilt), rested(plant, COMMANDS)
     assert at_rest.converged.tolist() == [True, False, True, True]
-    np.testing.assert_allclose(at_rest.pose[[0, 2, 3]], alone.pose[[0, 2, 3]], atol=1e-9)
+    np.testing.assert_allclose(np.delete(at_rest.pose, 1, 0), np.delete(alone.pose, 1, 0), atol=1e-9)
+
+
+def plant_of_two_segments_of_three_cables(turn=np.eye(3)):
+    """Turned about its axis, and two rows of commands that turn with it."""
+    bends = np.array([[[0.4, 0.1], [-0.2, 0.3]], [[0.1, -0.5], [0.3, 0.1]]])
+    plant = frictionless_plant(num_segments=2, num_cables=3)
+    return dataclasses.replace(plant, gravity=turn @ plant.gravity), commands_of(bends @ turn[:2, :2].T, 3)
 
 
 def test_two_segments_of_three_cables_turned_by_a_third_give_the_answer_turned():
-    few = Discretisation(bending=2, torsion=1, stretch=1, steps=1)
-    plant = frictionless_plant(num_segments=2, num_cables=3)
-    bends = np.array([[[0.4, 0.1], [-0.2, 0.3]]])
     turn = Rotation.from_euler("z", -120.0, degrees=True).as_matrix()
     old, new = (
-        compiled_rest(dataclasses.replace(plant, gravity=gravity), commands, commands, few)
-        for gravity, commands in (
-            (plant.gravity, commands_of(bends, 3)),
-            (turn @ plant.gravity, commands_of(bends @ turn[:2, :2].T, 3)),
-        )
+        compiled_rest(plant, commands, commands, FEW)
+        for plant, commands in (plant_of_two_segments_of_three_cables(), plant_of_two_segments_of_three_cables(turn))
     )
-    assert old.converged.all() and old.tension.shape == (1, 2, 3)
+    assert old.converged.all() and old.tension.shape == (2, 2, 3)
     np.testing.assert_allclose(frames(new.pose)[0], frames(old.pose)[0] @ turn.T, atol=1e-9)
+
+
+def test_slopes_by_every_number_of_the_plant_and_by_the_commands_are_differences():
+    plant, commands = plant_of_two_segments_of_three_cables()
+    plant = with_defects(dataclasses.replace(plant, friction=np.float64(0.15)), DefectSizes(), seed=3)
+    previous = commands + np.random.default_rng(2).normal(scale=4e-4, size=commands.shape)
+
+    def seen(plant, commands, previous):
+        at_rest = rest(plant, commands, previous, FEW)
+        return jnp.sum(at_rest.pose * weights) + 1e-3 * jnp.sum(at_rest.tension)
+
+    generator = np.random.default_rng(4)
+    weights = generator.normal(size=(2, 9))
+    everything = (plant, commands, previous)
+    slopes = jit_of_chains(jax.grad(seen, argnums=(0, 1, 2)))(*everything)
+    leaves, tree = jax.tree.flatten(everything)
+    names = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(everything)]
+
+    def value(number, leaf):
+        at_rest = compiled_rest(*jax.tree.unflatten(tree, [*leaves[:number], leaf, *leaves[number + 1 :]]), FEW)
+        return float(np.sum(at_rest.pose * weights) + 1e-3 * np.sum(at_rest.tension))
+
+    for number, (name, leaf, slope) in enumerate(zip(names, leaves, jax.tree.leaves(slopes), strict=True)):
+        way = generator.normal(size=np.shape(leaf))
+        step = 1e-5 * (np.abs(leaf).max() or 1.0)
+        if number in (len(leaves) - 1, len(leaves) - 2):
+            step = 1e-7
+        difference = (value(number, leaf + step * way) - value(number, leaf - step * way)) / (2.0 * step)
+        assert np.sum(slope * way) == pytest.approx(difference, rel=2e-5, abs=2e-5), name
 
 
 def test_bends_meant_by_commands_are_those_that_the_commands_were_made_of():

@@ -15,6 +15,10 @@ SOFT = RodStiffness(bending=1.0, torsion=0.7, stretch=3.0)
 FINE = Discretisation(bending=7, torsion=0, stretch=0, steps=16)
 
 shape_of = jit_of_chains(rod_shape, static_argnums=2)
+energy_slope = jax.jit(
+    jax.grad(lambda modes, stiffness, counts: jnp.sum(elastic_energy(modes, jnp.zeros((2, 1)), stiffness, counts))),
+    static_argnums=2,
+)
 
 
 def end_of(shape):
@@ -77,7 +81,7 @@ def test_a_moment_alone_makes_a_circular_arc():
     )  # work of a moment about (-y, x): moment times bend
     modes = np.zeros((counts.size, 4))
     modes[[0, counts.bending]] = moment / stiffness.bending
-    slope = jax.grad(lambda q: jnp.sum(elastic_energy(q, jnp.zeros((2, 4)), stiffness, counts)))(modes)
+    slope = energy_slope(modes, stiffness, counts)
     np.testing.assert_allclose(slope[jnp.array([0, counts.bending])], moment, atol=1e-12)
     shape = shape_of(modes, length, counts)
     bend = moment / stiffness.bending
@@ -92,7 +96,7 @@ def test_a_torque_alone_twists_a_straight_rod():
     counts = Discretisation()
     modes = np.zeros((counts.size, 1))
     modes[2 * counts.bending] = torque = 1.2 * SOFT.torsion
-    slope = jax.grad(lambda q: jnp.sum(elastic_energy(q, jnp.zeros((2, 1)), SOFT, counts)))(modes)
+    slope = energy_slope(modes, SOFT, counts)
     assert slope[2 * counts.bending, 0] == pytest.approx(SOFT.torsion * torque, rel=1e-12)
     shape = shape_of(modes, 0.3, counts)
     np.testing.assert_allclose(end_of(shape)[:, 0], [0.0, 0.0, 0.3], atol=1e-14)
@@ -128,16 +132,20 @@ def test_shapes_converge_with_the_fourth_power_of_the_steps_to_the_rods_differen
         known = [plain_shape(row, 0.5, counts) for row in modes.T]
         mean = np.stack(jax.tree.leaves(shape.first_moment))
         found = (end_of(shape), rotation_of(shape), mean)
-        errors.append([np.abs(one - np.stack(other, -1)).max() for one, other in zip(found, zip(*known), strict=True)])
+        errors.append(
+            [
+                np.abs(one - np.stack(other, -1)).max()
+                for one, other in zip(found, zip(*known, strict=True), strict=True)
+            ]
+        )
     ratios = np.array(errors[:-1]) / np.array(errors[1:])
     assert (ratios[:, :2] > 11.0).all(), errors  # 16 in the limit
-    assert (ratios[:, 2] > 7.0).all(), errors
-    assert np.max(errors[-1]) < 1e-5
+    assert (ratios[:, 2] > 3.7).all(), errors  # the mean position, for the hose's weight alone: 4 in the limit
+    assert np.max(errors[-1][:2]) < 1e-6
 
 
 def test_slopes_of_the_energy_are_its_second_derivatives():
     counts = Discretisation(bending=3, torsion=2, stretch=2, steps=2)
-    hessian = jax.hessian(lambda modes: elastic_energy(modes, jnp.array([0.1, -0.2]), SOFT, counts))(
-        jnp.asarray(random_modes(counts)[:, 0])
-    )
+    energy = lambda modes: elastic_energy(modes, jnp.array([0.1, -0.2]), SOFT, counts)  # noqa: E731
+    hessian = jax.jit(jax.hessian(energy))(random_modes(counts)[:, 0])
     np.testing.assert_allclose(hessian, np.diag(elastic_slopes(SOFT, counts)), atol=1e-14)
