@@ -112,7 +112,7 @@ def test_no_two_folders_side_by_side_import_each_other() -> None:
 
 
 def test_only_its_own_folder_and_studies_know_a_kind_of_robot() -> None:
-    """But for what hands on its public names: the registry, the verbs and the solvers' door."""
+    """But for what hands on its public names: the registries of kinds and of models, the verbs and the solvers' door."""
     kinds = tuple(f"qjrl.robot.{name}." for name in KINDS)
     knowing = {
         file.relative_to(PACKAGE).as_posix()
@@ -121,7 +121,7 @@ def test_only_its_own_folder_and_studies_know_a_kind_of_robot() -> None:
         and file.parent.name not in KINDS
         and file.relative_to(PACKAGE).parts[0] != "studies"
     }
-    assert knowing == {"robot/kinds.py", "robot/verbs.py", "solvers/__init__.py"}
+    assert knowing == {"robot/kinds.py", "robot/model_kinds.py", "robot/verbs.py", "solvers/__init__.py"}
 
 
 def files_importing(*packages: str) -> set[str]:

@@ -37,7 +37,8 @@ def tree_of(*overrides: str, is_whole: bool = True) -> dict[str, Any]:
 
 @functools.cache
 def composed(overrides: tuple[str, ...], is_whole: bool) -> dict[str, Any]:
-    defaults.register(is_whole)
+    may_say_a_kind = is_whole and any(one.startswith("forward_model=") for one in overrides)
+    defaults.register(is_whole, composed(overrides, False) if may_say_a_kind else {})
     with initialize_config_dir(version_base=None, config_dir=str(conf_folder())):
         tree = OmegaConf.to_container(compose("config", list(overrides)), resolve=True)
     assert isinstance(tree, dict)
@@ -53,8 +54,9 @@ def leaves(content: Any, place: Place = ()) -> Iterator[tuple[Place, Any]]:
 
 
 def value_at(tree: Any, place: Place) -> Any:
+    """None where another kind of settings has no such key; no shipped value is None."""
     for key in place:
-        tree = tree[key]
+        tree = tree.get(key) if isinstance(tree, dict) else None
     return tree
 
 

@@ -44,7 +44,7 @@ class GaussianProcessModelConfig(ProcessConfig):
     """Of the model."""
     inputs: Literal["configuration", "configuration_and_tip"] = "configuration"
     """What goes in: the nominal configuration of the cables, with or without the nominal position of the tip."""
-    coding: Literal["configuration"] | PoseCoding = "configuration"
+    coding: Literal["configuration", PoseCoding] = "configuration"
     """What comes out: the correction of the configuration, or that of the pose in the codings of `pose_coding`; "configuration"
     is "split" for robots that do not sense theirs."""
     max_rows: Annotated[int, Range(10, 5000)] = 2000

@@ -1,11 +1,19 @@
 """Data and settings that the tests of Gaussian processes share."""
 
+from typing import Any
+
 import jax
 import numpy as np
+import sklearn.gaussian_process
+import sklearn.gaussian_process.kernels
 
 from qjrl.learning.gaussian_process.hyperparameters import Hyperparameters
 from qjrl.learning.gaussian_process.posterior import condition, mean_and_variance, noise_variance
 from qjrl.learning.gaussian_process.rows import no_scaling
+
+# Of scikit-learn, whose annotations say less than it takes.
+Regressor: Any = sklearn.gaussian_process.GaussianProcessRegressor
+kernels: Any = sklearn.gaussian_process.kernels
 
 predict = jax.jit(jax.vmap(mean_and_variance, (None, 0)))
 

@@ -1,29 +1,28 @@
 """Against scikit-learn, whose parameters are variances where ours are standard deviations."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from processes import rows
+from processes import Regressor, kernels, rows
 from scipy.optimize import approx_fprime
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, RationalQuadratic, WhiteKernel
 
 from qjrl.learning.gaussian_process import covariance
 from qjrl.learning.gaussian_process.likelihood import log_marginal_likelihood
 
 SCALES = np.array([1.4, 0.8, 2.5])
 THEIRS = {
-    "squared_exponential": lambda scales: RBF(scales),
-    "matern_52": lambda scales: Matern(scales, nu=2.5),
-    "rational_quadratic": lambda scales: RationalQuadratic(scales, alpha=0.7),
+    "squared_exponential": lambda scales: kernels.RBF(scales),
+    "matern_52": lambda scales: kernels.Matern(scales, nu=2.5),
+    "rational_quadratic": lambda scales: kernels.RationalQuadratic(scales, alpha=0.7),
 }
 
 
 def theirs(name, scales, inputs, targets, signal, noise):
-    jitter = WhiteKernel(covariance.JITTER, "fixed")
-    kernel = ConstantKernel(signal**2) * (THEIRS[name](scales) + jitter) + WhiteKernel(noise**2)
-    return GaussianProcessRegressor(kernel, alpha=0.0, optimizer=None).fit(inputs, targets)
+    jitter = kernels.WhiteKernel(covariance.JITTER, "fixed")
+    kernel = kernels.ConstantKernel(signal**2) * (THEIRS[name](scales) + jitter) + kernels.WhiteKernel(noise**2)
+    return Regressor(kernel, alpha=0.0, optimizer=None).fit(inputs, targets)
 
 
 CASES = [
@@ -40,9 +39,8 @@ CASES = [
 def test_value_and_gradient_are_those_of_scikit_learn(name, scales, noise):
     inputs, targets = rows(60, num_outputs=6)
     signal = 1.3
-    value, gradient = theirs(name, scales, inputs, targets, signal, noise).log_marginal_likelihood(
-        eval_gradient=True, theta=theirs(name, scales, inputs, targets, signal, noise).kernel_.theta
-    )
+    model = theirs(name, scales, inputs, targets, signal, noise)
+    value, gradient = model.log_marginal_likelihood(model.kernel_.theta, eval_gradient=True)
     shape = [0.7] if name == "rational_quadratic" else []
     logs = np.log(np.concatenate([np.atleast_1d(scales), [signal, noise], shape]))
     ours, slopes = log_marginal_likelihood(name, logs, inputs, targets)
@@ -60,7 +58,8 @@ def test_a_length_scale_an_input_of_the_rational_quadratic_has_the_slopes_of_dif
     logs = np.log([*SCALES, 1.3, 0.2, 0.7])
     value = lambda at: log_marginal_likelihood("rational_quadratic", at, inputs, targets)[0]  # noqa: E731
     slopes = log_marginal_likelihood("rational_quadratic", logs, inputs, targets)[1]
-    np.testing.assert_allclose(slopes, approx_fprime(logs, value, 1e-6), rtol=1e-4, atol=1e-3)
+    differences: Any = approx_fprime(logs, value, 1e-6)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1e-3)
 
 
 def test_what_is_not_positive_definite_is_refused_by_an_infinite_value(monkeypatch):

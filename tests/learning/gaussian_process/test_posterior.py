@@ -1,10 +1,10 @@
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
-from processes import one_group, predicted, rows, unscaled
+from processes import Regressor, kernels, one_group, predicted, rows, unscaled
 from scipy.stats import norm
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, RationalQuadratic, WhiteKernel
 
 from qjrl.learning.gaussian_process.covariance import factor, measured_covariance
 from qjrl.learning.gaussian_process.kernels import KERNELS
@@ -12,17 +12,17 @@ from qjrl.learning.gaussian_process.posterior import groups_of, mean, mean_only
 
 SCALES = np.array([1.4, 0.8, 2.5])
 THEIRS = {
-    "squared_exponential": (SCALES, RBF(SCALES)),
-    "matern_52": (SCALES, Matern(SCALES, nu=2.5)),
-    "rational_quadratic": (np.full(3, 1.4), RationalQuadratic(1.4, alpha=0.7)),
+    "squared_exponential": (SCALES, kernels.RBF(SCALES)),
+    "matern_52": (SCALES, kernels.Matern(SCALES, nu=2.5)),
+    "rational_quadratic": (np.full(3, 1.4), kernels.RationalQuadratic(1.4, alpha=0.7)),
 }
 
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_mean_and_deviation_are_those_of_scikit_learn(name):
     (inputs, targets), (scales, kernel) = rows(80), THEIRS[name]
-    theirs = GaussianProcessRegressor(
-        ConstantKernel(1.3**2) * kernel + WhiteKernel(0.1**2), alpha=1e-9 * 1.3**2, optimizer=None
+    theirs = Regressor(
+        kernels.ConstantKernel(1.3**2) * kernel + kernels.WhiteKernel(0.1**2), alpha=1e-9 * 1.3**2, optimizer=None
     ).fit(inputs, targets)
     at = rows(50, seed=1)[0]
     found = predicted(unscaled(name, one_group(scales, shape=0.7), inputs, targets), at)
@@ -43,7 +43,7 @@ def coverages(noise_factor):
     """Shares of measurements inside the intervals of 50, 90 and 95 %, one measurement of each of 200 draws from the prior."""
     rng = np.random.default_rng(5)
     truth = one_group(np.array([1.0, 0.6]), signal=1.0, noise=0.3)
-    believed = truth.replace(noise=truth.noise * noise_factor)
+    believed = dataclasses.replace(truth, noise=truth.noise * noise_factor)
     off = []
     for _ in range(200):
         inputs = rng.uniform(-1.0, 1.0, (31, 2))
