@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import ClassVar
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,7 +58,7 @@ class RobotStageConfig(StageConfig):
     robot: dict
     """The description of the robot as plain values."""
 
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs = tuple[str, ...]()
     """What the robot's kind must offer for the stage to run: fields of `qjrl.robot.kind.Kind`."""
 
     @property

@@ -67,7 +67,10 @@ def test_its_configuration_is_read_by_its_name_and_the_network_is_meant_without_
 @pytest.mark.parametrize(
     ("forward_model", "line"),
     [
-        ({"kind": "rigde"}, r"forward_model\.kind: got 'rigde', allowed: one of network, gaussian_process, ridge"),
+        (
+            {"kind": "rigde"},
+            r"forward_model\.kind: got 'rigde', allowed: one of network, gaussian_process, grey, grey_gaussian_process, ridge",
+        ),
         ({"kind": "ridge", "strenght": 1}, r"forward_model\.strenght: got 1, .*did you mean 'strength'"),
         ({"strength": 1}, r"forward_model\.strength: got 1, allowed with kind=ridge"),
         ({"kind": "ridge", "form": "paper"}, r"forward_model\.form: got 'paper', allowed with kind=network"),
@@ -122,7 +125,7 @@ def test_a_file_that_names_no_kind_holds_a_network_and_one_of_an_unknown_kind_is
     artifacts.write_json(tmp_path / "model.json", description)
     with pytest.raises(
         ArtifactError,
-        match=r"model\.json: config\.kind: got 'octopus', allowed: one of network, gaussian_process, ridge",
+        match=r"model\.json: config\.kind: got 'octopus', allowed: one of network, gaussian_process, grey, grey_gaussian_process, ridge",
     ):
         load_forward_model(tmp_path / "model", ARM)
 

@@ -117,10 +117,8 @@ def nominal_plant(
     lengths = np.array(length, np.float64)
     count = len(lengths)
     each = lambda value: np.broadcast_to(np.asarray(value, np.float64), count).copy()  # noqa: E731
-    if anchor_directions is None:
-        azimuths = -2.0 * np.pi / num_cables * np.arange(num_cables)
-        anchor_directions = np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
-    directions = np.broadcast_to(np.asarray(anchor_directions, np.float64), (count, *np.shape(anchor_directions)[-2:]))
+    directions = _even_directions(num_cables) if anchor_directions is None else np.asarray(anchor_directions)
+    directions = np.broadcast_to(directions, (count, *directions.shape[-2:]))
     anchors = each(anchor_radius)[:, None, None] * directions
     number = np.float64
     return Plant(
@@ -149,6 +147,11 @@ def nominal_plant(
         tip_rotation=np.zeros(3),
         gravity=np.asarray(gravity, np.float64),
     )
+
+
+def _even_directions(num_cables: int) -> np.ndarray:
+    azimuths = -2.0 * np.pi / num_cables * np.arange(num_cables)
+    return np.stack([np.cos(azimuths), np.sin(azimuths)], axis=1)
 
 
 @struct.dataclass
