@@ -1,6 +1,7 @@
 """A kind that rests by statics of its own: settled and sampled by the same doors, with noise and history."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from qjrl.robot.settled_rows import settled_rows
 from qjrl.simulation import SettleConfig, settle
 from qjrl.simulation.sampling import sample_rows
 
-ARM = load_robot("continuum_4")
+ARM: Any = load_robot("continuum_4")
 ROWS = 48
 
 

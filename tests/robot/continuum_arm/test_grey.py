@@ -13,7 +13,7 @@ from test_conf import tree_of
 from qjrl import pipeline
 from qjrl.config import ConfigError
 from qjrl.geometry.pose import row_errors
-from qjrl.robot import cable_lengths, forward_kinematics, load_robot
+from qjrl.robot import cable_lengths, forward_kinematics
 from qjrl.robot.continuum_arm.grey import grey_pose, prior_mean, rubbing_of
 from qjrl.robot.continuum_arm.grey_fit import fit_grey
 from qjrl.robot.continuum_arm.grey_model import GREY_GAUSSIAN_PROCESS, GreyProcessConfig, fit
@@ -23,7 +23,7 @@ from qjrl.robot.pose_model import model_poses
 from qjrl.simulation import SettleConfig
 from qjrl.simulation.sampling import sample_rows
 
-ARM = load_robot("continuum_4")
+ARM = arm()
 NUM_FITTED, NUM_ROWS = 64, 192
 
 
@@ -73,8 +73,8 @@ def test_a_straight_arm_sags_as_a_chain_of_beams():
 
 
 def test_rubbing_turns_with_the_way_the_cables_moved():
-    before = np.zeros(16)
-    after = np.asarray(cable_lengths(ARM, jnp.asarray(random_bends(ARM, 1)[0])))
+    before = jnp.zeros(16)
+    after = cable_lengths(ARM, jnp.asarray(random_bends(ARM, 1)[0]))
     there, still = rubbing_of(ARM, after, before), rubbing_of(ARM, after, after)
     np.testing.assert_allclose(still, 0.0, atol=1e-12)
     np.testing.assert_allclose(rubbing_of(ARM, after, 2.0 * after), -there, atol=1e-6)
