@@ -60,6 +60,11 @@ def or_closed_form(robot: Robot, model: PoseFunction | None) -> PoseFunction:
     return ClosedForm(robot) if model is None else model
 
 
+def is_chain(model: PoseFunction) -> bool:
+    """Whether a model is a long chain of small operations, as closed forms are and networks are not; see `xla_options`."""
+    return getattr(model, "is_chain", False)
+
+
 def model_poses(model: PoseFunction, lengths: Any) -> np.ndarray:
     """Poses (n, 9) of a model at cable lengths (n, num_cables) [m], on the host."""
     return np.asarray(_model_poses(as_model(model), jnp.asarray(lengths)))

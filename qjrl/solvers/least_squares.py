@@ -20,7 +20,7 @@ from qjrl.robot.ik_result import (
     least_tension,
 )
 from qjrl.robot.kinds import kind_of, num_coordinates
-from qjrl.robot.pose_model import PoseFunction, as_model, or_closed_form
+from qjrl.robot.pose_model import PoseFunction, as_model, is_chain, or_closed_form
 from qjrl.robot.verbs import Robot
 from qjrl.solvers.candidates import Candidates, nearest_candidates, random_candidates
 from qjrl.solvers.levenberg_marquardt import DescentConfig, descend, is_nearest
@@ -202,7 +202,7 @@ def _descend(
     """The ends (rows, starts) of all descents of a round; `is_exact`: along the model's own Jacobian."""
     shape = starts.shape[:2]
     descent = config.descent if model is None else dataclasses.replace(config.descent, damping=config.model_damping)
-    compiled = _descend_closed_form if model is None else _descend_on_model
+    compiled = _descend_chain if model is None or is_chain(model) else _descend_layers
     function = functools.partial(compiled, descent, is_exact and model is not None, model, robot, np.int32(iterations))
     ends = in_batches(
         function, config.batch_size, starts.reshape(-1, *starts.shape[2:]), np.repeat(targets, shape[1], axis=0)
@@ -222,8 +222,8 @@ def _descend_rows(
 
 
 # The closed form's descents are quicker without XLA's fusion, and compiled in half the time; a network's are slower.
-_descend_closed_form = jit_of_chains(_descend_rows, static_argnums=(0, 1))
-_descend_on_model = jax.jit(_descend_rows, static_argnums=(0, 1))
+_descend_chain = jit_of_chains(_descend_rows, static_argnums=(0, 1))
+_descend_layers = jax.jit(_descend_rows, static_argnums=(0, 1))
 
 
 def _keep_better(best: _Best, rows: np.ndarray, ends: _Ends) -> _Best:

@@ -71,6 +71,8 @@ class GreyPose:
     process: GaussianProcess | None
     inputs: str = struct.field(pytree_node=False)
 
+    is_chain = True
+
     def __call__(self, lengths: jax.Array) -> jax.Array:
         """Pose (9,) at cable lengths (num_cables,) [m]."""
         return self.after(lengths, None)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from qjrl.config import ConfigError
-from qjrl.robot.continuum_arm import kinematics, sampling, simulated
+from qjrl.robot.continuum_arm import differential, kinematics, sampling, simulated
 from qjrl.robot.continuum_arm.arm import ContinuumArm, arm_from_config
 from qjrl.robot.continuum_arm.description import ContinuumArmConfig
 from qjrl.robot.continuum_arm.drawing import DRAWING
@@ -70,6 +70,7 @@ CONTINUUM_ARM = Kind(
     configuration_name="bends",
     senses_configuration=False,
     check=check_bends,
+    tip=differential.tip_of,
     at_distance=sampling.bends_at_distance,
     cable_lengths=kinematics.cable_lengths,
     configuration_from_cables=kinematics.bends_from_cables,

@@ -144,6 +144,18 @@ def test_a_segment_is_the_exponential_of_its_mended_screw(bend):
     np.testing.assert_allclose(rotation, expected[:3, :3], atol=1e-12)
 
 
+@pytest.mark.parametrize("robot", ARMS.values(), ids=ARMS)
+def test_the_jacobian_segment_by_segment_is_that_of_differentiation(robot):
+    for scale in (1.0, 1e-7, 0.0):
+        rows = jnp.asarray(scale * random_bends(robot, 3, seed=2).reshape(3, -1).T)
+        found = verb(robot, "tip")(robot, rows)
+        expected = tip_by_differentiation(
+            lambda row: forward_kinematics(robot, row.reshape(robot.num_segments, 2)), rows
+        )
+        for name in ("position", "rotation", "velocity", "angular_velocity"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+
+
 def test_the_straight_arm_moves_smoothly():
     """Slopes at zero are those between two small bends, in both precisions."""
     robot = ARMS["continuum_4"]
