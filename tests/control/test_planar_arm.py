@@ -60,7 +60,7 @@ def test_a_description_of_the_kind_is_checked_like_any_other(arm):
     assert arm.kind == "planar_arm"
     with pytest.raises(ConfigError, match=r"robot\.link_length: got -1\.0"):
         robot_from_mapping(MAPPING | {"link_length": -1.0})
-    with pytest.raises(ConfigError, match="quaternion_arm, planar_arm"):
+    with pytest.raises(ConfigError, match="quaternion_arm, continuum_arm, planar_arm"):
         robot_from_mapping(MAPPING | {"kind": "octopus"})
     with pytest.raises(ConfigError, match=r"configuration: got the shape \(3,\), allowed: \(2,\)"):
         forward_kinematics(arm, jnp.zeros(3))
