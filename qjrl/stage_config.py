@@ -71,8 +71,7 @@ class RobotStageConfig(StageConfig):
     @property
     def lacks(self) -> str | None:
         """The first of its needs that the robot's kind does not offer."""
-        from qjrl.robot import robot_from_mapping
-        from qjrl.robot.kinds import kind_of
+        from qjrl.robot.kinds import KINDS
 
-        kind = kind_of(robot_from_mapping(self.robot))
+        kind = KINDS[self.robot["kind"]]
         return next((need for need in self.needs if getattr(kind, need) is None), None)

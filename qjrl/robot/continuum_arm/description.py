@@ -3,14 +3,8 @@
 from typing import Annotated, Literal
 
 from qjrl.config import Range, configuration
-from qjrl.field_words import show
+from qjrl.robot.descriptions import NonNegative, Number, Positive, check_name
 from qjrl.robot.unit_hints import length_hint
-
-Positive = Range(above=0.0)
-NonNegative = Range(low=0.0)
-Number = Annotated[int, Range(low=0)]
-LONGEST_NAME = 100
-"""Letters; reports and file formats carry it."""
 
 
 @configuration
@@ -131,8 +125,7 @@ class ContinuumArmConfig:
     motors: MotorsConfig
 
     def __post_init__(self):
-        if not (self.name.strip() and self.name.isprintable() and len(self.name) <= LONGEST_NAME):
-            raise ValueError(f"name: got {show(self.name)}, allowed: a text on one line, up to {LONGEST_NAME} letters")
+        check_name(self.name)
         count = len(self.segments.lengths)
         if count == 0:
             raise ValueError("segments.lengths: got [], allowed: at least one segment")
