@@ -56,7 +56,7 @@ def exp_rotation(vector: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Rotation matrix of axis times angle [rad]."""
     squared = jnp.sum(vector**2)
     skew = jnp.cross(vector, jnp.eye(3, dtype=vector.dtype)).T
-    return jnp.eye(3, dtype=vector.dtype) + _sine(squared) * skew + _versine(squared) * (skew @ skew)
+    return jnp.eye(3, dtype=vector.dtype) + sine_ratio(squared) * skew + _versine(squared) * (skew @ skew)
 
 
 def log_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
@@ -81,7 +81,7 @@ def log_rotation(rotation: Float[Array, "3 3"]) -> Float[Array, "3"]:
     return 2.0 * half_over_sine * axis
 
 
-def _sine(x: Float[Array, ""]) -> Float[Array, ""]:
+def sine_ratio(x: Float[Array, ""]) -> Float[Array, ""]:
     """sin(a) / a of x = a^2."""
     angle = _root(x)
     return jnp.where(x < _SERIES, _power_series(x, 1), jnp.sin(angle) / angle)

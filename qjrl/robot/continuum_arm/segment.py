@@ -8,8 +8,8 @@ Eq. 11 prints cot(1/theta) for cot(theta/2), and the anchors of Eq. 2 run clockw
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-# Below this square of an angle a series of four terms is exact to rounding.
-_SERIES_BELOW = 1e-2
+from qjrl.geometry.se3 import exp_rotation, sine_ratio
+
 # As near to half a turn as a chord is taken: beyond it there is no bend of such a chord.
 _LARGEST_CHORD = 1.0 - 1e-12
 
@@ -25,9 +25,7 @@ def segment_pose(length: Float[Array, ""], bend: Float[Array, "2"]) -> tuple[Flo
     chord, sine = chord_ratio(squared), sine_ratio(squared)
     versine = 0.5 * chord**2  # (1 - cos theta) / theta^2
     position = length * jnp.stack([versine * bend[0], versine * bend[1], sine])
-    zero = jnp.zeros_like(squared)
-    axis = jnp.array([[zero, zero, bend[0]], [zero, zero, bend[1]], [-bend[0], -bend[1], zero]])
-    return position, jnp.eye(3, dtype=bend.dtype) + sine * axis + versine * (axis @ axis)
+    return position, exp_rotation(jnp.stack([-bend[1], bend[0], jnp.zeros_like(squared)]))
 
 
 def segment_cables(
@@ -56,14 +54,6 @@ def segment_bend(
 def chord_ratio(squared: Float[Array, ""]) -> Float[Array, ""]:
     """2 sin(theta/2) / theta of theta^2."""
     return sine_ratio(squared / 4.0)
-
-
-def sine_ratio(squared: Float[Array, ""]) -> Float[Array, ""]:
-    """sin(theta) / theta of theta^2."""
-    is_small = squared < _SERIES_BELOW
-    angle = jnp.sqrt(jnp.where(is_small, 1.0, squared))
-    series = 1.0 - squared / 6.0 * (1.0 - squared / 20.0 * (1.0 - squared / 42.0 * (1.0 - squared / 72.0)))
-    return jnp.where(is_small, series, jnp.sin(angle) / angle)
 
 
 def arcsine_ratio(squared: Float[Array, ""]) -> Float[Array, ""]:

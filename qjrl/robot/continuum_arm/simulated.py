@@ -9,7 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from qjrl.geometry.pose import pose_from_frame, position_of, rotation_of
+from qjrl.geometry.se3 import exp_rotation
 from qjrl.robot.at_rest import AtRest
+from qjrl.robot.batching import in_batches
 from qjrl.robot.continuum_arm.arm import ContinuumArm
 from qjrl.robot.continuum_arm.defects import DefectSizes, with_defects
 from qjrl.robot.continuum_arm.plant import Plant, nominal_plant
@@ -17,7 +19,7 @@ from qjrl.robot.continuum_arm.rest import compiled_rest
 from qjrl.robot.continuum_arm.rod import Discretisation
 
 ROWS = 64
-"""Rows of the compiled program, the last call filled up. Rows search together: with others beside it a row rests within 1e-9 m."""
+"""Rows of the compiled program. Rows search together: with others beside it a row rests within 1e-9 m."""
 COUNTS = Discretisation()
 
 
@@ -54,13 +56,13 @@ def simulated_plant(arm: ContinuumArm) -> Plant:
 
 def rest(arm: ContinuumArm, lengths: np.ndarray, previous: np.ndarray) -> AtRest:
     """Where the simulated arm rests at cable lengths (n, cables) [m], having come from the previous ones; float64."""
-    plant, blocks = simulated_plant(arm), []
-    shape = (ROWS, arm.num_segments, arm.cables_per_segment)
-    for start in range(0, len(lengths), ROWS):
-        chunk = np.minimum(np.arange(start, start + ROWS), len(lengths) - 1)
-        found = compiled_rest(plant, lengths[chunk].reshape(shape), previous[chunk].reshape(shape), COUNTS)
-        blocks.append(jax.tree.map(np.asarray, found))
-    found = jax.tree.map(lambda *parts: np.concatenate(parts)[: len(lengths)], *blocks)
+    plant, shape = simulated_plant(arm), (-1, arm.num_segments, arm.cables_per_segment)
+    found = in_batches(
+        lambda commands, before: compiled_rest(plant, commands, before, COUNTS),
+        ROWS,
+        lengths.reshape(shape),
+        previous.reshape(shape),
+    )
     bends = np.stack([found.modes[:, :, 0], found.modes[:, :, COUNTS.bending]], axis=2)
     count = len(lengths)
     return AtRest(
@@ -76,7 +78,5 @@ def measured(arm: ContinuumArm, key: jax.Array, pose: Float[Array, "9"]) -> Floa
     """A pose as it is measured: noise on its position, and on its rotation about the tip's axes."""
     key_position, key_angle = jax.random.split(key)
     shift = arm.measured_position_error * jax.random.normal(key_position, (3,))
-    x, y, z = jnp.radians(arm.measured_angle_error_deg) * jax.random.normal(key_angle, (3,))
-    zero = jnp.zeros(())
-    turn = jax.scipy.linalg.expm(jnp.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]))
+    turn = exp_rotation(jnp.radians(arm.measured_angle_error_deg) * jax.random.normal(key_angle, (3,)))
     return pose_from_frame(position_of(pose) + shift, rotation_of(pose) @ turn)
